@@ -64,7 +64,7 @@ def judge(
         joined: plans that the vehicle joined in flight, with their times, see `ControlLoop.joined`.
     """
     position, velocity = np.ascontiguousarray(rows[:, 1:4]), rows[:, 4:7]
-    radius, dt = mission.vehicle.body.radius_m, 1 / mission.config.rate_hz
+    radius, dt = mission.world.vehicle.body.radius_m, 1 / mission.config.rate_hz
     clearance: dict[str, float | None] = {"a hull": None, "an ellipsoid": None}
     for name, obstacles in mission.obstacles:
         clearance[name] = sphere_clearance(position, obstacles, radius, jobs=jobs)
@@ -118,7 +118,7 @@ def judge(
 
 def _tube(mission: PlannedFlight, plan: Artifact, jobs: int) -> PlanJudge:
     obstacles = [each for _, each in mission.obstacles]
-    return PlanJudge(plan, obstacles, mission.vehicle.body.radius_m, mission.along.tolerance_m, jobs)
+    return PlanJudge(plan, obstacles, mission.world.vehicle.body.radius_m, mission.along.tolerance_m, jobs)
 
 
 def summary_of(
@@ -204,9 +204,9 @@ def guarantee_of(mission: PlannedFlight, trial: TrialResult, new_plans: int = 0)
             "map": _map_record(mission),
             "continuous_time": False,
             "positions": "as measured by the vehicle",
-            "radius_m": mission.vehicle.body.radius_m,
+            "radius_m": mission.world.vehicle.body.radius_m,
             "margin_m": mission.config.margin_m,
-            "inflation_m": mission.world.inflation_m["ellipsoids"],
+            "inflation_m": mission.world.static.inflation_m["ellipsoids"],
         },
     )
 
@@ -216,6 +216,6 @@ def _map_record(mission: PlannedFlight) -> dict[str, Any]:
     if mission.cover is not None:
         level = level_of(mission.cover)
         found["cover"] = recorded_level(level) | {"omits": omissions(level)}
-    if mission.scene is not None:
+    if mission.world.static.scene is not None:
         found["scene"] = scene_level(mission.config.sigma)
     return found

@@ -15,11 +15,11 @@ from alula.schemas.artifacts.artifact import Artifact
 from alula.schemas.artifacts.manifest import map_origin
 from alula.schemas.artifacts.tiles import TileFiles
 from alula.schemas.decimals import at_least, exact
-from alula.schemas.errors import InputError, LinkError, UsageError
+from alula.schemas.errors import LinkError, UsageError
 from alula.schemas.parameters.configs.fly import FlyConfig
 from alula.schemas.parameters.configs.plan import BEYOND_MAP
-from alula.schemas.parameters.flight_defaults import NO_FILTER
-from alula.schemas.scenarios.defaults import completed
+from alula.schemas.parameters.filter_options import FILTERS, TABLES
+from alula.schemas.parameters.flight_defaults import IN_A_COVER, NO_FILTER
 from alula.schemas.scenarios.scenario import Scenario
 from alula.schemas.scenarios.tables import (
     ControllerTable,
@@ -40,10 +40,8 @@ from alula.stages.compression.level import (
     without,
 )
 from alula.stages.filtering.ellipsoid_filters import keeps_from_hulls
-from alula.stages.filtering.obstacles import require_metric
 from alula.stages.filtering.polytope_cbf import without_filter
-from alula.stages.filtering.protocol import SafetyFilter
-from alula.stages.filtering.registry import complete_parameters, make_filter
+from alula.stages.filtering.registry import complete_parameters
 from alula.stages.flight.commanders.native import INTERFACES, FlightCommander
 from alula.stages.flight.conditions import guard_of, limits_of, needs_of
 from alula.stages.flight.loop.control_loop import LoopOptions
@@ -64,9 +62,9 @@ from alula.stages.vehicles.bodies import quadrotor
 from alula.stages.vehicles.fence import KeepOut, fence
 from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint, Setpoint, VelocitySetpoint
 from alula.stages.vehicles.velocity_lag import filter_lags_s, max_speed_m_s, needed_deceleration_m_s2
-from alula.stages.world.filters import filter_world, flown_filter, needs_index
-from alula.stages.world.obstacles import StaticWorld, static_world
-from alula.stages.world.vehicle import catch_up_m_s, known_vehicle
+from alula.stages.world.filters import flown_filter
+from alula.stages.world.vehicle import catch_up_m_s
+from alula.stages.world.world import World, make_world
 
 Obstacles = list[tuple[str, _core.PolytopeSet | _core.EllipsoidSet]]
 
@@ -85,10 +83,8 @@ class PlannedFlight:
 
     Attributes:
         config: complete configuration, see `resolve_fly`.
-        plan, vehicle: as given.
-        cover, scene: the map; at least one of them.
-        within: seen space to stay in, beside a cover, if it is given.
-        world: static obstacles, with the boxes of unseen space where the flight must stay in seen space.
+        plan, cover: as given.
+        world: what `simulate` builds for the same vehicle, maps and filter.
         is_splat: a filter of the whole quadrotor flies, among the ellipsoids of the scene if there is one;
             else one of velocities among the hulls of the cover.
         curve: the plan.
@@ -103,11 +99,8 @@ class PlannedFlight:
 
     config: FlyConfig
     plan: Artifact
-    vehicle: Vehicle
     cover: Artifact | None
-    scene: Artifact | None
-    within: Artifact | None
-    world: StaticWorld
+    world: World
     is_splat: bool
     curve: _core.ReferenceCurve
     start: FloatArray
@@ -120,21 +113,23 @@ class PlannedFlight:
     @property
     def map(self) -> Artifact:
         """The artifact whose obstacles the filter uses."""
-        found = self.scene if self.is_splat and self.scene is not None else self.cover
+        scene = self.world.static.scene
+        found = scene if self.is_splat and scene is not None else self.cover
         assert found is not None
         return found
 
     @property
     def obstacles(self) -> Obstacles:
         """All obstacles of the map by name, for checks and verdict, world frame."""
-        named = (("a hull", self.world.polytopes), ("an ellipsoid", self.world.ellipsoids))
+        world = self.world.static
+        named = (("a hull", world.polytopes), ("an ellipsoid", world.ellipsoids))
         return [(name, each) for name, each in named if each is not None]
 
     @property
     def map_words(self) -> str:
         """The obstacles with their level, and what this leaves out."""
-        is_within = self.within is not None
-        return map_words(self.cover, self.scene, self.config.sigma, is_within=is_within)
+        world = self.world.static
+        return map_words(self.cover, world.scene, self.config.sigma, is_within=world.seen is not None)
 
     @property
     def goal(self) -> FloatArray:
@@ -267,12 +262,6 @@ def make_mission(
     config = resolve_fly(config, plan, vehicle, is_splat=is_splat, **has_maps)
     if not is_splat:
         _require_deceleration(config, vehicle, is_given=has_lag)
-    frame = plan.manifest.frame
-    for role, other in (("cover", cover), ("scene", scene), ("within", within), ("plan", plan)):
-        if other is not None:
-            require_metric(role, other)
-        if other is not None and other.manifest.frame != frame:
-            raise InputError(f"the {role} is in the frame {other.manifest.frame!r}, the plan in {frame!r}")
     if not is_splat and config.fence_map and cover is None:
         raise UsageError("--fence-map needs a cover")
     is_unproven = not plan.manifest.is_proven  # type: ignore[attr-defined]
@@ -289,19 +278,26 @@ def make_mission(
         raise UsageError("only polytope-cbf reads tiles, which lack unseen space: leave out --within")
     if within is not None and cover is None:
         raise UsageError("--within needs a cover: its filter keeps from hulls and unseen space alike")
-    beyond_map = max(config.beyond_map_m, plan.manifest.beyond_map_m)  # type: ignore[attr-defined]
-    scenario = _scenario(config, vehicle, is_splat=is_splat, **has_maps)
-    world = static_world(
-        scenario,
+    assert config.speed_m_s is not None
+    assert config.fence is not None
+    low, high = config.fence[:3], config.fence[3:]
+    roles = {"cover": cover, "scene": scene, "seen": within, "tiles": tiles, "plan": plan}
+    built = make_world(
+        _scenario(
+            config, vehicle, {role for role, each in roles.items() if each is not None}, is_splat=is_splat
+        ),
+        vehicle,
         cover=cover,
         scene=scene,
         seen=within,
+        plan=plan,
         tiles=tiles,
-        beyond_map_m=beyond_map,
-        needs_image=False,
-        needs_index=needs_index(scenario, scenario.safety.filters),
+        ends=np.array([low, high]),
+        max_speed_m_s=config.speed_m_s,
+        lag_s=_lags_s(config),
         jobs=jobs,
     )
+    world = built.static
     time, coefficient = plan["time"], plan["coefficient"]
     if cover is not None and world.polytopes is not None:
         level = level_of(cover)
@@ -340,17 +336,12 @@ def make_mission(
     )
     if not is_splat and not has_lag:
         notes += _beyond_identified(config, vehicle)
-    assert config.fence is not None
-    low, high = config.fence[:3], config.fence[3:]
     keep_out = KeepOut.of(cover, jobs=jobs) if config.fence_map and cover is not None else None
     return PlannedFlight(
         config=config,
         plan=plan,
-        vehicle=vehicle,
         cover=cover,
-        scene=scene,
-        within=within,
-        world=world,
+        world=built,
         is_splat=is_splat,
         curve=curve,
         start=np.array(curve.at(np.zeros(1))[0, :3]),
@@ -391,123 +382,91 @@ def _mapped(plan: Artifact, mapped: Mapped | None, radius_m: float) -> list[tupl
     return [(True, f"it leaves the mapped box, by at most {exact(mapped.beyond_m)} m (--beyond-map)")]
 
 
-def _scenario(
-    config: FlyConfig, vehicle: Vehicle, *, is_splat: bool, has_scene: bool, has_cover: bool
-) -> Scenario:
+def _scenario(config: FlyConfig, vehicle: Vehicle, roles: set[str], *, is_splat: bool) -> Scenario:
     """The scenario of a flight: what `simulate` would be given for the same vehicle, maps and filter.
 
     Args:
         config: complete, see `resolve_fly`.
         vehicle: that flies.
-        is_splat: a filter of the whole quadrotor flies; only that one adds the inflation of the map.
-        has_scene: there are ellipsoids.
-        has_cover: there are hulls.
+        roles: of the files that there are.
+        is_splat: a filter of the whole quadrotor flies.
     """
-    scenario = Scenario(
+    named = {role: role for role in roles}
+    name, parameters = config.filter, config.filter_parameters
+    if name == IN_A_COVER:
+        parameters = {"beta": config.beta, "kappa_per_m": config.kappa_per_m, "smoothing": "sound"}
+    own: dict[str, Any] = {"others": {name: dict(parameters)}}
+    if name in FILTERS:
+        own = {TABLES[name].replace("-", "_"): FILTERS[name](**parameters)}
+    return Scenario(
         vehicle=VehicleTable(
             interface="body-rates" if is_splat else "velocity",
+            autopilot=None if is_splat else True,
             radius_m=vehicle.body.radius_m + config.margin_m,
         ),
         world=WorldTable(
-            cover="cover" if has_cover else None,
-            scene="scene" if has_scene else None,
+            cover=named.get("cover"),
+            scene=named.get("scene"),
+            seen=named.get("seen"),
+            tiles=named.get("tiles"),
             sigma=config.sigma,
-            inflation_m=config.inflation_m if is_splat else 0.0,
+            inflation_m=config.inflation_m,
         ),
-        mission=MissionTable(controller=ControllerTable(catch_up_m_s=config.catch_up_m_s)),
-        safety=SafetyTable(filters=() if config.filter == NO_FILTER else (config.filter,)),
+        mission=MissionTable(
+            kind="plan",
+            plan=named.get("plan"),
+            beyond_map_m=config.beyond_map_m,
+            controller=ControllerTable(catch_up_m_s=config.catch_up_m_s),
+        ),
+        safety=SafetyTable() if name == NO_FILTER else SafetyTable(filters=(name,), **own),
         rules=RulesTable(dt_s=1 / config.rate_hz),
     )
-    return completed(scenario, vehicle)
 
 
-def _scenario_of(mission: PlannedFlight) -> Scenario:
-    return _scenario(
-        mission.config,
-        mission.vehicle,
-        is_splat=mission.is_splat,
-        has_scene=mission.scene is not None,
-        has_cover=mission.cover is not None,
-    )
-
-
-def make_safety(mission: PlannedFlight) -> SafetyFilter | None:
-    """Build the safety filter, with the parameters of `simulate`; None sends the nominal command.
-
-    Args:
-        mission: to fly.
+def flown_filters(mission: PlannedFlight) -> list[_core.SafetyFilter]:
+    """Filters of a flight; by velocities one that changes nothing stands for none, and tells the margin.
 
     Raises:
-        UsageError: the filter is unknown, or a parameter is invalid.
+        UsageError: the radius has no meaning for these hulls.
     """
-    config, world = mission.config, mission.world
-    assert config.speed_m_s is not None
-    assert config.fence is not None
-    told = filter_world(
-        _scenario_of(mission),
-        mission.vehicle,
-        world,
-        speed_m_s=_speed_m_s(mission),
-        max_speed_m_s=config.speed_m_s,
-        extent_m=world.extent_m(
-            [np.array(config.fence).reshape(2, 3)],
-            speed_m_s=config.speed_m_s,
-            lag_s=max(_lags_s(config)),
-        ),
+    world = mission.world
+    if world.filters or mission.is_splat:
+        return world.filters
+    bare = without_filter(
+        world.told, {"beta": mission.config.beta, "kappa_per_m": mission.config.kappa_per_m}
     )
-    parameters = dict(config.filter_parameters)
-    if config.filter == "polytope-cbf":
-        parameters = {"beta": config.beta, "kappa_per_m": config.kappa_per_m, "smoothing": "sound"}
-    made = make_filter(config.filter, told, parameters)
-    return without_filter(told, parameters) if made is None and not mission.is_splat else made
+    return [flown_filter(bare, world.lag_s, world.max_speed_m_s)]
 
 
-def _speed_m_s(mission: PlannedFlight) -> float:
-    """Speed of the plan [m/s]."""
-    return float(mission.plan.manifest.speed_m_s)  # type: ignore[attr-defined]
-
-
-def wanted_setpoints(mission: PlannedFlight, safety: SafetyFilter | None) -> tuple[type[Setpoint], ...]:
-    """Kinds of set-points that can carry the filter's output, the best first.
-
-    Args:
-        mission: to fly.
-        safety: from `make_safety`.
-    """
+def wanted_setpoints(mission: PlannedFlight) -> tuple[type[Setpoint], ...]:
+    """Kinds of set-points that can carry the filter's output, the best first."""
     if not mission.is_splat:
         return (VelocitySetpoint,)
-    if safety is None:
+    if not mission.world.filters:
         return (RatesSetpoint, AccelerationSetpoint)
-    return (AccelerationSetpoint, RatesSetpoint) if safety.kind == "acceleration" else (RatesSetpoint,)
+    takes_acceleration = mission.world.filters[-1].kind == "acceleration"
+    return (AccelerationSetpoint, RatesSetpoint) if takes_acceleration else (RatesSetpoint,)
 
 
-def make_commander(
-    mission: PlannedFlight, safety: SafetyFilter | None, accepts: frozenset[type[Setpoint]]
-) -> FlightCommander:
+def make_commander(mission: PlannedFlight, accepts: frozenset[type[Setpoint]]) -> FlightCommander:
     """Build the commander: the flight of `simulate`, with the vehicle, the filter and the controller.
 
     Args:
         mission: to fly.
-        safety: from `make_safety`.
         accepts: kinds of set-points that the link accepts.
 
     Raises:
         LinkError: the link accepts no kind of set-point that can carry the filter's output.
     """
-    config, vehicle = mission.config, mission.vehicle
-    kinds = wanted_setpoints(mission, safety)
+    config, world = mission.config, mission.world
+    kinds = wanted_setpoints(mission)
     kind = next((kind for kind in kinds if kind in accepts), None)
     if kind is None:
         names = " or ".join(kind.__name__ for kind in kinds)
         raise LinkError(f"the filter {config.filter} needs a link that accepts {names}; this link does not")
-    speed, lag, dt = config.speed_m_s, _lags_s(config), 1 / config.rate_hz
-    assert speed is not None
-    filters = [] if safety is None else [flown_filter(safety, lag, speed)]
-    known = known_vehicle(
-        _scenario_of(mission), vehicle, peak_m_s=_speed_m_s(mission), max_speed_m_s=speed, lag_s=lag
-    )
-    body = quadrotor(vehicle)
-    flown = _core.VehicleSpec(body, **known | {"interface": INTERFACES[kind]})
+    filters = flown_filters(mission)
+    body, dt = quadrotor(world.vehicle), 1 / config.rate_hz
+    flown = _core.VehicleSpec(body, **world.known | {"interface": INTERFACES[kind]})
     options = _core.FlightOptions(
         dt_s=dt,
         stale_s=config.stale_s,
@@ -515,16 +474,16 @@ def make_commander(
         disturbance_max_m_s2=_MAX_DISTURBANCE_M_S2,
         disturbance_time_s=_DISTURBANCE_S if kind is RatesSetpoint else 0.0,
         response_time_s=0.0 if kind is RatesSetpoint else _RESPONSE_S,
-        response_room_m_s2=_response_room_m_s2(vehicle),
+        response_room_m_s2=_response_room_m_s2(world.vehicle),
         response_max_m_s2=_MAX_DISTURBANCE_M_S2,
     )
     return FlightCommander(
         flight=_core.Flight(flown, options, _core.Mission.given(gain_per_s=config.gain), filters),
         setpoint=kind,
         body=body,
-        delay_s=vehicle.assumed.delay_s,
+        delay_s=world.vehicle.assumed.delay_s,
         dt_s=dt,
-        command=None if safety is None else safety.kind,
+        command=filters[-1].kind if filters else None,
     )
 
 
@@ -542,7 +501,11 @@ def make_guard(mission: PlannedFlight, accepts: frozenset[type[Setpoint]]) -> Fe
         accepts: kinds of set-points that the link accepts.
     """
     return guard_of(
-        mission.config, mission.vehicle, mission.fence, accepts, reserve_m=mission.config.fence_reserve_m
+        mission.config,
+        mission.world.vehicle,
+        mission.fence,
+        accepts,
+        reserve_m=mission.config.fence_reserve_m,
     )
 
 
@@ -558,10 +521,12 @@ def make_needs(mission: PlannedFlight, setpoints: Iterable[type[Setpoint]]) -> N
     setpoints = tuple(setpoints)
     return needs_of(
         config,
-        mission.vehicle,
+        mission.world.vehicle,
         setpoints=setpoints,
         ends=(mission.start, mission.goal),
-        departures=departures_of(mission.plan, config.speed_m_s, mission.vehicle.following.horizontal_lag),
+        departures=departures_of(
+            mission.plan, config.speed_m_s, mission.world.vehicle.following.horizontal_lag
+        ),
         obstacles=mission.obstacles,
         map_origin_m=map_origin(mission.map.manifest),
         map_words=mission.map_words,
@@ -579,7 +544,7 @@ def _plan_verdict(mission: PlannedFlight, setpoint: type[Setpoint]) -> tuple[boo
     accelerations stops it in time: such a plan is refused. By velocities it only lags.
     """
     holds, words = mission.is_clear
-    asked = "" if setpoint is RatesSetpoint else beyond_followed(mission.plan, mission.vehicle)
+    asked = "" if setpoint is RatesSetpoint else beyond_followed(mission.plan, mission.world.vehicle)
     if not asked:
         return holds, words
     if setpoint is VelocitySetpoint:
@@ -630,7 +595,7 @@ def describe(mission: PlannedFlight) -> str:
     Args:
         mission: to fly.
     """
-    vehicle = mission.vehicle
+    vehicle = mission.world.vehicle
     sphere = f"a sphere of radius {exact(vehicle.body.radius_m)} m"
     assert vehicle.body.mass_kg is not None
     return f"{vehicle.name}: a real quadrotor of {exact(vehicle.body.mass_kg)} kg in {sphere}"
@@ -649,5 +614,5 @@ def head_facts(mission: PlannedFlight) -> dict[str, Any]:
         "frame": mission.map.manifest.frame,
         "is_splat": mission.is_splat,
         "log_every": max(1, round(mission.config.rate_hz / mission.config.log_rate_hz)),
-        "radius_m": mission.vehicle.body.radius_m,
+        "radius_m": mission.world.vehicle.body.radius_m,
     }

@@ -119,7 +119,7 @@ def safety_filters(
                 "out world.walls, or voxelize and merge them into the cover"
             )
         try:
-            built = make_filter(name, world, _plain(name, given))
+            built = make_filter(name, world, plain(name, given))
             assert built is not None
             native = flown_filter(built, lag_s, world.speed_m_s)
         except (ValueError, TypeError, OverflowError, UsageError) as error:
@@ -145,7 +145,8 @@ def flown_filter(
     return _core.ChordFilter(native, lag_s=lag_s, max_speed_m_s=max_speed_m_s)
 
 
-def _plain(name: str, given: Options | dict[str, Any]) -> dict[str, Any]:
+def plain(name: str, given: Options | dict[str, Any]) -> dict[str, Any]:
+    """Parameters of a filter as its maker takes them."""
     values = msgspec.structs.asdict(given) if isinstance(given, Options) else dict(given)
     if name == "polytope-cbf":
         values.pop("onboard", None)  # the image of the world stands for it

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypedDict, Unpack
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from alula.stages.planning.plan_samples import curve_of
 from alula.stages.world.behind import flown_behind, undisturbed
 from alula.stages.world.filters import filter_world, needs_image, needs_index, safety_filters
 from alula.stages.world.obstacles import StaticWorld, require_named, static_world
-from alula.stages.world.vehicle import vehicle_spec, velocity_lags_s
+from alula.stages.world.vehicle import known_vehicle, vehicle_spec, velocity_lags_s
 
 PLANT_STEP_S = 1e-3  # longest step of the plant by default, and period of the modelled rate loop [s]
 _PLANNED_RADII = 6  # plans keep to a box around the hulls that is 3 radii larger
@@ -82,6 +82,17 @@ class World:
         """Number of guides before the filters."""
         return len(self.names) - len(self.scenario.safety.filters)
 
+    @property
+    def known(self) -> dict[str, Any]:
+        """What the computer on board knows of the vehicle, see `known_vehicle`."""
+        return known_vehicle(
+            self.scenario,
+            self.vehicle,
+            peak_m_s=self.peak_m_s,
+            max_speed_m_s=self.max_speed_m_s,
+            lag_s=self.lag_s,
+        )
+
     def behind(self) -> Behind | None:
         """How a plan is flown for its planner; None without filters."""
         if not self.scenario.safety.filters:
@@ -108,6 +119,8 @@ def make_world(
     vehicle: Vehicle | None = None,
     *,
     ends: FloatArray | None = None,
+    max_speed_m_s: float | None = None,
+    lag_s: tuple[float, float, float] | None = None,
     jobs: int = 0,
     **files: Unpack[WorldFiles],
 ) -> World:
@@ -115,7 +128,9 @@ def make_world(
 
     Args:
         vehicle: of the file that it names; default: the one built in by its name.
-        ends: starts and goals of the run that it names, shape (N, 3) [m].
+        ends: starts and goals of the run that it names, or corners of the flight's fence, shape (N, 3) [m].
+        max_speed_m_s: limit of velocity commands of a real flight; default: that of the scenario [m/s].
+        lag_s: with which a real vehicle follows them along x, y, z; default: that of the scenario [s].
         **files: those that the scenario names.
 
     Raises:
@@ -137,7 +152,8 @@ def make_world(
     full = completed(scenario, vehicle)
     mission = full.mission
     peak, most = _speeds(full, vehicle, plan)
-    lag_s = velocity_lags_s(full, vehicle, most)
+    most = most if max_speed_m_s is None else max_speed_m_s
+    lag_s = lag_s or velocity_lags_s(full, vehicle, most)
     names = list(full.safety.filters)
     if mission.controller.guide != "none":
         names.insert(0, mission.controller.guide)

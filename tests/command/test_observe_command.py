@@ -15,7 +15,7 @@ from alula.schemas.log.run import read_run
 from alula.schemas.parameters.configs.fly import FlyConfig
 from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.compression.level import level_words
-from alula.stages.flight.mission import make_mission, make_safety
+from alula.stages.flight.mission import make_mission
 
 
 @pytest.fixture
@@ -219,8 +219,8 @@ def test_a_real_flight_keeps_from_unseen_space_like_from_hulls(pipeline, tmp_pat
     kept = make_mission(tight, plan, FASTBRIDGE, cover=cover, scene=None, is_splat=False, within=seen)
     assert not kept.is_clear[0]
     assert "the plan begins outside of the space that was seen" in kept.is_clear[1]
-    assert len(kept.world.hulls) > len(free.world.hulls)
-    assert make_safety(kept) is not None
+    assert len(kept.world.static.hulls) > len(free.world.static.hulls)
+    assert len(kept.world.filters) == 1
     inside = read_artifact(pipeline / "tiny.plan.npz")
     good = make_mission(config, inside, FASTBRIDGE, cover=cover, scene=None, is_splat=False, within=seen)
     words = "proven to keep 0.15 m from all hulls made for every ellipsoid of the scene at "

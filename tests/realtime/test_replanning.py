@@ -41,8 +41,8 @@ def files(tmp_path_factory):
 def planner_of(files):
     made = mission(cover=GAP, plan=plan(PATH, GAP))
     facts = replan_facts(made)
-    process = PlannerProcess(facts, made.vehicle, maps_of(made), {"cover": files / "gap.cover.npz"})
-    return process, ReplanTask(facts, made.vehicle, maps_of(made))
+    process = PlannerProcess(facts, made.world.vehicle, maps_of(made), {"cover": files / "gap.cover.npz"})
+    return process, ReplanTask(facts, made.world.vehicle, maps_of(made))
 
 
 def answer(planner):
@@ -108,7 +108,7 @@ def test_a_map_that_was_changed_is_refused(files, tmp_path):
     write_artifact(tmp_path / "other.cover.npz", box_cover([((18, 14, 0), (22, 30, 20))]))
     with pytest.raises(InputError, match="has changed"):
         PlannerProcess(
-            replan_facts(made), made.vehicle, maps_of(made), {"cover": tmp_path / "other.cover.npz"}
+            replan_facts(made), made.world.vehicle, maps_of(made), {"cover": tmp_path / "other.cover.npz"}
         )
 
 

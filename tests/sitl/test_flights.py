@@ -6,7 +6,7 @@ import pytest
 from alula.schemas.scenarios.vehicle import FASTBRIDGE, read_vehicle
 from alula.stages.clearance import path_clearance
 from alula.stages.flight.links.mavlink.autopilots import ARDUPILOT
-from alula.stages.flight.mission import make_commander, make_safety
+from alula.stages.flight.mission import make_commander
 from alula.stages.flight.replay import replay
 from support.ardupilot_sitl import GOAL, START, flight, sitl
 from support.flights import mission
@@ -43,6 +43,6 @@ def test_a_flight_past_a_pillar_is_clear_and_its_log_repeats_every_set_point(tmp
     assert abs(np.median(height) - 1.5) < 0.08, height  # 0.19 with the hover throttle that it reports
     obstacles = [obstacle for _, obstacle in made.obstacles]
     assert min(float(path_clearance(path, each).min()) for each in obstacles) > FASTBRIDGE.body.radius_m
-    found = replay(tmp_path / "f.run.mcap", make_commander(made, make_safety(made), ARDUPILOT.accepts))
+    found = replay(tmp_path / "f.run.mcap", make_commander(made, ARDUPILOT.accepts))
     assert found.ticks > 1000
     assert found.differing == []

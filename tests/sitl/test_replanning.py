@@ -8,7 +8,7 @@ from alula.schemas.parameters.configs.plan import PlanConfig
 from alula.schemas.scenarios.vehicle import FASTBRIDGE, read_vehicle
 from alula.stages.clearance import path_clearance
 from alula.stages.flight.links.mavlink.autopilots import ARDUPILOT
-from alula.stages.flight.mission import make_commander, make_safety
+from alula.stages.flight.mission import make_commander
 from alula.stages.flight.replay import replay
 from alula.stages.planning.plan import plan
 from support.ardupilot_sitl import GOAL, START, flight, sitl
@@ -50,5 +50,5 @@ def test_a_flight_straight_at_a_wall_arrives_behind_its_filter(tmp_path, name):
     ((_, obstacles),) = made.obstacles
     assert float(path_clearance(path, obstacles).min()) > FASTBRIDGE.body.radius_m
     assert read_run(tmp_path / "f.run.mcap").summary["new_plans"] >= 1
-    found = replay(tmp_path / "f.run.mcap", make_commander(made, make_safety(made), ARDUPILOT.accepts))
+    found = replay(tmp_path / "f.run.mcap", make_commander(made, ARDUPILOT.accepts))
     assert found.differing == []

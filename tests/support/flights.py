@@ -7,7 +7,9 @@ import numpy as np
 
 from alula.schemas.parameters.configs.fly import FlyConfig
 from alula.schemas.scenarios.vehicle import FASTBRIDGE
+from alula.stages.filtering.polytope_cbf import without_filter
 from alula.stages.filtering.protocol import FilterResult, FilterStatus
+from alula.stages.filtering.registry import make_filter
 from alula.stages.flight.loop.checks import FlightChecks
 from alula.stages.flight.loop.control_loop import ControlLoop
 from alula.stages.flight.mission import (
@@ -17,9 +19,9 @@ from alula.stages.flight.mission import (
     make_mission,
     make_needs,
     make_options,
-    make_safety,
     wanted_setpoints,
 )
+from alula.stages.world.filters import flown_filter, plain
 from support.fake_vehicle import FakeClock, FakeVehicle, Kept
 from support.small_scenes import ball_scene, box_cover, line_plan
 
@@ -40,7 +42,8 @@ def mission(
     **fields,
 ):
     """By default past a pillar."""
-    is_splat = scene is not None or name in ("shield", "cone-backup", "cone-ecbf")
+    needs_hulls = name == "polytope-cbf"
+    is_splat = not needs_hulls and (scene is not None or name in ("shield", "cone-backup", "cone-ecbf"))
     cover = box_cover(PILLAR) if cover is None and scene is None else cover
     plan = plan or line_plan(START, GOAL)
     made = make_mission(
@@ -67,9 +70,8 @@ def loop_of(
     replanner=None,
 ):
     """The loop for a mission over a fake vehicle."""
-    safety = make_safety(made)
-    commander = make_commander(made, safety, vehicle.accepts)
-    checks = FlightChecks(make_needs(made, wanted_setpoints(made, safety)), by_hand=by_hand, patience_s=5.0)
+    commander = make_commander(made, vehicle.accepts)
+    checks = FlightChecks(make_needs(made, wanted_setpoints(made)), by_hand=by_hand, patience_s=5.0)
     return ControlLoop(
         vehicle,
         commander,
@@ -87,10 +89,25 @@ def loop_of(
     )
 
 
+def safety_of(made):
+    """The filter of a flight as one of Python, before flights take it."""
+    name, told = made.config.filter, made.world.told
+    if name == "none":
+        return None if made.is_splat else without_filter(told, {})
+    return make_filter(name, told, plain(name, made.world.scenario.safety.parameters(name)))
+
+
+def behind(made, changed):
+    """The flight behind another filter."""
+    world = made.world
+    filters = [flown_filter(changed, world.lag_s, world.max_speed_m_s)]
+    return dataclasses.replace(made, world=dataclasses.replace(world, filters=filters))
+
+
 def refilter(loop, made, change=lambda inner: inner):
     """From now on fly behind a changed filter; what was sent before is forgotten."""
-    changed = change(make_safety(made))
-    loop.commander = make_commander(made, changed, loop.link.accepts)
+    changed = change(safety_of(made))
+    loop.commander = make_commander(behind(made, changed), loop.link.accepts)
     return changed
 
 

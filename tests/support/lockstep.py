@@ -199,7 +199,7 @@ class Flight(Served):
         """Of positions in the world, shape (T, 3)."""
         if len(path) == 0:
             return math.inf
-        radius = self.made.vehicle.body.radius_m
+        radius = self.made.world.vehicle.body.radius_m
         return min(float(path_clearance(path, each).min()) for _, each in self.made.obstacles) - radius
 
     def packets(self):

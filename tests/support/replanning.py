@@ -12,7 +12,7 @@ class PlannerHere:
     has_ended = False
 
     def __init__(self, made, looks=5, answer=None):
-        self.task = ReplanTask(replan_facts(made), made.vehicle, maps_of(made))
+        self.task = ReplanTask(replan_facts(made), made.world.vehicle, maps_of(made))
         self.looks, self.make = looks, answer or self.plan
         self.requests, self.ready, self.left, self.is_closed = [], None, 0, False
 

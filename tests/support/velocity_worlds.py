@@ -6,9 +6,9 @@ import msgspec
 import numpy as np
 
 from alula.stages.flight.links.protocol import VehicleState
-from alula.stages.flight.mission import make_commander, make_safety
+from alula.stages.flight.mission import make_commander
 from alula.stages.vehicles.setpoints import VelocitySetpoint
-from support.flights import mission
+from support.flights import behind, mission, safety_of
 from support.small_scenes import box_cover, line_plan
 
 LEVEL, ZERO = np.array([1.0, 0, 0, 0]), np.zeros(3)
@@ -41,7 +41,7 @@ def world(speed, lag):
             gain=8.0,
             fence=(-1.0, -1.0, 0.0, 6.0, 6.0, 4.0),
         )
-        _MADE[speed, lag] = made, make_safety(made)
+        _MADE[speed, lag] = made, safety_of(made)
     return _MADE[speed, lag]
 
 
@@ -49,13 +49,19 @@ def commander_around(filtering, gain, speed, *, lag_s=0.0, delay_s=0.0, dt_s=0.0
     """The commander of velocities around any filter."""
     made, _ = world(3.0, 0.6)
     fields = {"gain": gain, "speed_m_s": speed, "velocity_lag_s": lag_s, "rate_hz": 1 / dt_s}
-    assumed = msgspec.structs.replace(made.vehicle.assumed, delay_s=delay_s)
-    made = dataclasses.replace(
-        made,
-        config=dataclasses.replace(made.config, **fields),
-        vehicle=msgspec.structs.replace(made.vehicle, assumed=assumed),
+    vehicle, scenario = made.world.vehicle, made.world.scenario
+    assumed = msgspec.structs.replace(scenario.vehicle.assumed, delay_s=delay_s)
+    table = msgspec.structs.replace(scenario.vehicle, assumed=assumed)
+    own = msgspec.structs.replace(vehicle.assumed, delay_s=delay_s)
+    world_ = dataclasses.replace(
+        made.world,
+        scenario=msgspec.structs.replace(scenario, vehicle=table),
+        vehicle=msgspec.structs.replace(vehicle, assumed=own),
+        max_speed_m_s=speed,
+        lag_s=lag_s if isinstance(lag_s, tuple) else (lag_s, lag_s, lag_s),
     )
-    return make_commander(made, filtering, frozenset({VelocitySetpoint}))
+    made = dataclasses.replace(made, config=dataclasses.replace(made.config, **fields), world=world_)
+    return make_commander(behind(made, filtering), frozenset({VelocitySetpoint}))
 
 
 def target_at(point):

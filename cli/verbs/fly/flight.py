@@ -68,7 +68,6 @@ def fly(
         make_guard,
         make_needs,
         make_options,
-        make_safety,
         wanted_setpoints,
     )
     from alula.stages.flight.recorder.channels import FlightHead
@@ -78,13 +77,14 @@ def fly(
     from alula.stages.runlog.maps import map_message
 
     interrupts = Interrupts()
-    safety = make_safety(mission)
     planner = None if common.dry_run or paths is None else make_planner(mission, paths)
     frame, points = mission.map.manifest.frame, _points(mission)
     head = FlightHead(
         provenance=provenance,
         map_message=map_message(mission.map, {"sigma": mission.config.sigma}, [points], frame, 0),
-        cloud=None if mission.scene is None else cloud_message(mission.scene, [points], frame, 0),
+        cloud=None
+        if mission.world.static.scene is None
+        else cloud_message(mission.world.static.scene, [points], frame, 0),
         plan=points.tolist(),
         **head_facts(mission),
     )
@@ -105,14 +105,14 @@ def fly(
             if planner is not None and link.status.own_safety is not None:
                 planner.know(link.status.own_safety)
             checks = FlightChecks(
-                make_needs(mission, wanted_setpoints(mission, safety)),
+                make_needs(mission, wanted_setpoints(mission)),
                 changed=contact.changed,
                 trouble=contact.trouble,
                 by_hand=mission.config.frame_check == "hand",
             )
             loop = ControlLoop(
                 link,
-                make_commander(mission, safety, link.accepts),
+                make_commander(mission, link.accepts),
                 make_guard(mission, link.accepts),
                 make_clock(mission),
                 checks,
@@ -190,10 +190,12 @@ def _open_view(
         name=head.name,
         filter=head.filter,
         vehicle=head.vehicle,
-        radius_m=mission.vehicle.body.radius_m,
+        radius_m=mission.world.vehicle.body.radius_m,
         map_message=head.map_message,
         plan=head.plan,
-        rotors_m=[] if mission.vehicle.rotors is None else list(mission.vehicle.rotors.positions_m),
+        rotors_m=[]
+        if mission.world.vehicle.rotors is None
+        else list(mission.world.vehicle.rotors.positions_m),
         files=[str(paths[role]) for role in ("scene", "plan") if role in paths],
         fence=None if mission.config.fence is None else list(mission.config.fence),
         stale_s=mission.config.stale_s,

@@ -100,7 +100,7 @@ def fly(
         flown,
         state_rate_hz=config.rate_hz,
         flies_rates=is_splat,
-        ground=lambda: ground_of(mission.cover, mission.scene, mission.config.sigma),
+        ground=lambda: ground_of(mission.cover, mission.world.static.scene, mission.config.sigma),
     )
     check_output(common.output, paths)
     check_output(record_path(common.output), paths)

@@ -77,8 +77,8 @@ class FlyConfig(AlongPlanConfig, FlightConfig):
     )
     inflation_m: float | None = option(
         None,
-        "Distance that filters among ellipsoids add to radius and margin [m]; default: as suggested by the "
-        "scene's alignment.",
+        "Distance that filters add to radius and margin [m]; default: as suggested by the scene's "
+        "alignment, and for hulls what of that they have not grown by.",
         flag="--inflate",
         group="Filter",
         within=(0, 100),

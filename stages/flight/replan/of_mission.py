@@ -35,19 +35,19 @@ def replan_facts(mission: PlannedFlight) -> ReplanFacts | None:
     Args:
         mission: of the flight.
     """
-    config, radius = mission.config, mission.vehicle.body.radius_m
+    config, radius = mission.config, mission.world.vehicle.body.radius_m
     if config.replan_after_s == 0 or config.filter == "none" or _has_more(mission.plan):
         return None
     assert config.fence is not None
     assert config.speed_m_s is not None
-    keep, hulls = mission.world.radius_m, mission.world.keeps_m("hulls")
+    world = mission.world.static
+    keep, hulls = world.radius_m, world.keeps_m("hulls")
     maps = []
     if mission.cover is not None:
         maps.append(KeptMap(role="cover", keep_m=hulls if mission.sees_hulls else keep))
-    if mission.scene is not None:
-        ellipsoids = mission.world.keeps_m("ellipsoids")
-        maps.append(KeptMap(role="scene", keep_m=ellipsoids, sigma=config.sigma))
-    if mission.within is not None:
+    if world.scene is not None:
+        maps.append(KeptMap(role="scene", keep_m=world.keeps_m("ellipsoids"), sigma=config.sigma))
+    if world.seen is not None:
         maps.append(KeptMap(role="within", keep_m=hulls))
     join = min(each.keep_m for each in maps) - radius
     if join <= 0:
@@ -93,7 +93,7 @@ def maps_of(mission: PlannedFlight) -> dict[str, Artifact]:
     Args:
         mission: of the flight.
     """
-    maps = {"cover": mission.cover, "scene": mission.scene, "within": mission.within}
+    maps = {"cover": mission.cover, "scene": mission.world.static.scene, "within": mission.world.static.seen}
     return {role: each for role, each in maps.items() if each is not None}
 
 
@@ -108,7 +108,7 @@ def make_planner(mission: PlannedFlight, paths: Mapping[str, Path]) -> PlannerPr
         InputError: the process does not run.
     """
     facts = replan_facts(mission)
-    return None if facts is None else PlannerProcess(facts, mission.vehicle, maps_of(mission), paths)
+    return None if facts is None else PlannerProcess(facts, mission.world.vehicle, maps_of(mission), paths)
 
 
 def make_replanner(mission: PlannedFlight, planner: Planner) -> Replanner:

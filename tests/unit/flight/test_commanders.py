@@ -13,10 +13,10 @@ from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.flight.links.protocol import VehicleState
 from alula.stages.flight.loop.fence_guard import FenceGuard
 from alula.stages.flight.loop.plan_clock import PlanClock, heading_of
-from alula.stages.flight.mission import make_commander, make_safety
+from alula.stages.flight.mission import make_commander
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint, VelocitySetpoint
-from support.flights import BALL, START, mission
+from support.flights import BALL, START, mission, safety_of
 from support.reference_flights import along, vehicle_of
 from support.small_scenes import box_cover, line_plan
 
@@ -32,7 +32,7 @@ def quat_of(sigma):
 def test_thrust_and_filter_are_those_of_simulate(name):
     made = mission(name, scene=BALL, is_clear=True)
     body, gains = quadrotor(FASTBRIDGE), tracking_gains(FASTBRIDGE, made.config.catch_up_m_s)
-    safety = make_safety(made)
+    safety = safety_of(made)
     assert safety is not None
     vehicle = vehicle_of(body, gains=gains, interface="body-rates")
     (log,) = along(
@@ -45,7 +45,7 @@ def test_thrust_and_filter_are_those_of_simulate(name):
         disturbance_time_s=0.1,
     )
     assert len(log["mark"]) == 450
-    commander = make_commander(made, make_safety(made), frozenset({RatesSetpoint}))
+    commander = make_commander(made, frozenset({RatesSetpoint}))
     changed = 0
     for i, (x, status, margin) in enumerate(
         zip(log["state"], log["status"][:, 0], log["margin"][:, 0], strict=False)
@@ -67,7 +67,7 @@ def test_thrust_and_filter_are_those_of_simulate(name):
 
 def test_velocities_are_those_of_simulate():
     made = mission(plan=line_plan((0.3, 1.2, 1.0), (3.7, 1.2, 1.0)), is_clear=True)
-    commander = make_commander(made, make_safety(made), frozenset({VelocitySetpoint}))
+    commander = make_commander(made, frozenset({VelocitySetpoint}))
     vehicle = _core.VehicleSpec(
         quadrotor(FASTBRIDGE),
         model="single-integrator",
@@ -85,7 +85,7 @@ def test_velocities_are_those_of_simulate():
     start[:3] = rows[0, :3]
     speed = made.config.speed_m_s
     task = _core.Task(start, _core.Mission.along(made.curve, gain_per_s=2.0, speed_m_s=speed), max_time_s=3.0)
-    (log,) = _core.simulate(simulation, [task], [make_safety(made).native])
+    (log,) = _core.simulate(simulation, [task], [safety_of(made).native])
     assert len(log["mark"]) == 300
     for i in range(300):
         seen = VehicleState(0.0, log["state"][i, :3], np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros(3))
@@ -96,7 +96,7 @@ def test_velocities_are_those_of_simulate():
 
 def test_a_late_state_is_taken_on_by_its_velocity():
     made = mission()
-    commander = make_commander(made, make_safety(made), frozenset({VelocitySetpoint}))
+    commander = make_commander(made, frozenset({VelocitySetpoint}))
     v, target = np.array([0.5, -0.2, 0.1]), made.curve.at(np.array([1.0]))
     at = lambda p, age: commander.decide(  # noqa: E731
         VehicleState(0.0, p, v, np.array([1.0, 0, 0, 0]), np.zeros(3)), age, target

@@ -6,7 +6,6 @@ import pytest
 from alula.stages.filtering.protocol import FilterStatus, FlightState, Nominal
 from alula.stages.flight.links.protocol import Order
 from alula.stages.flight.loop.supervisor import Event, State
-from alula.stages.flight.mission import make_safety
 from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint, VelocitySetpoint
 from support.fake_vehicle import FakeClock, FakeVehicle
 from support.flights import (
@@ -20,6 +19,7 @@ from support.flights import (
     loop_of,
     mission,
     refilter,
+    safety_of,
 )
 from support.foreign_filters import OfVelocities
 from support.small_scenes import ball_scene, box_cover, line_plan
@@ -392,7 +392,7 @@ def test_a_filter_that_fails_at_any_point_of_the_chord_is_held_in_that_tick(how,
     """With the default lag a tick calls the filter several times; if any call fails, nothing is sent."""
     vehicle = FakeVehicle(FakeClock(), (START[0], START[1], 0.0))
     made, failed, calls = mission(), [], {}
-    loop, inner = loop_of(made, vehicle), make_safety(made)
+    loop, inner = loop_of(made, vehicle), safety_of(made)
 
     def failing(x, u):
         now = vehicle.clock()

@@ -13,7 +13,7 @@ from alula.stages.flight.links.protocol import VehicleState, VehicleStatus
 from alula.stages.flight.loop.frame_check import HandCheck, MotionCheck
 from alula.stages.flight.loop.preflight import CHECKS, Observed, climb, verdicts
 from alula.stages.flight.loop.supervisor import Event
-from alula.stages.flight.mission import make_needs, make_safety, wanted_setpoints
+from alula.stages.flight.mission import make_needs, wanted_setpoints
 from alula.stages.vehicles.setpoints import RatesSetpoint
 from support.fake_vehicle import FakeClock, FakeVehicle
 from support.flights import START, fly, loop_of, mission
@@ -36,7 +36,7 @@ def observed(**fields):
         "seconds": 2.0,
         "status": status,
         "state": state(),
-        "accepts": frozenset(wanted_setpoints(MADE, None)),
+        "accepts": frozenset(wanted_setpoints(MADE)),
         "states": 200,
         "ticks": 200,
     }
@@ -44,7 +44,7 @@ def observed(**fields):
 
 
 MADE = mission()
-NEEDS = make_needs(MADE, wanted_setpoints(MADE, make_safety(MADE)))
+NEEDS = make_needs(MADE, wanted_setpoints(MADE))
 
 
 def failed(seen, needs=NEEDS):
@@ -61,7 +61,7 @@ def test_the_start_says_which_point_of_the_world_is_placed_by_origin():
     cover = MADE.cover
     moved = msgspec.structs.replace(cover.manifest, map_origin_m=[450_000.0, 4_500_000.0, 0.0])
     made = mission(cover=dataclasses.replace(cover, manifest=moved))
-    needs = make_needs(made, wanted_setpoints(made, make_safety(made)))
+    needs = make_needs(made, wanted_setpoints(made))
 
     def said(needs):
         return {v.name: v.words for v in verdicts(observed(), needs)}["start"]

@@ -120,11 +120,13 @@ def test_a_new_plan_passes_the_via_points_that_remain_and_keeps_what_the_filter_
     assert flight.cause is Event.PLAN_FINISHED
     assert planner.requests[0].via == (AFTER,)
     (_, made) = flight.loop.joined[0]
-    assert made.manifest.radius_m == flight.made.world.keeps_m("hulls")
+    assert made.manifest.radius_m == flight.made.world.static.keeps_m("hulls")
     assert verify_plan(made, cover=BOX).covered
     points = curve_of(made).at(np.linspace(0, made["time"][-1], 2000))[:, :3]
     ((_, obstacles),) = flight.made.obstacles
-    assert segment_clearance(points[:-1], points[1:], obstacles).min() >= flight.made.world.keeps_m("hulls")
+    assert segment_clearance(points[:-1], points[1:], obstacles).min() >= flight.made.world.static.keeps_m(
+        "hulls"
+    )
 
 
 def test_each_part_of_a_flight_is_judged_by_the_plan_that_was_flown_then():
@@ -159,7 +161,7 @@ def test_a_via_point_that_the_rest_of_the_flight_passes_by_is_missed():
 
 
 def task_of(made):
-    return ReplanTask(replan_facts(made), made.vehicle, maps_of(made))
+    return ReplanTask(replan_facts(made), made.world.vehicle, maps_of(made))
 
 
 def request(position=(1.5, 2.0, 1.0), velocity=(0.0, 0.0, 0.0), **more):
@@ -177,7 +179,7 @@ def request(position=(1.5, 2.0, 1.0), velocity=(0.0, 0.0, 0.0), **more):
 
 def test_a_vehicle_that_the_filter_stopped_a_little_too_near_gets_a_plan_from_the_nearest_free_point():
     made = blocked()
-    keep = made.world.keeps_m("hulls")
+    keep = made.world.static.keeps_m("hulls")
     found = task_of(made).plan(request((1.8 - keep + 0.01, 2.0, 1.0)))
     start = curve_of(found).at(np.zeros(1))[0, :3]
     assert 1.8 - start[0] >= keep

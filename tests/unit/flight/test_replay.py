@@ -8,7 +8,7 @@ import pytest
 
 from alula.schemas.errors import InputError
 from alula.schemas.log.mcap import messages
-from alula.stages.flight.mission import make_commander, make_safety
+from alula.stages.flight.mission import make_commander
 from alula.stages.flight.recorder.log import FlightRecorder
 from alula.stages.flight.replay import replay
 from support.flight_logs import head_of, record_of
@@ -33,7 +33,7 @@ def ticks_of(path):
 
 
 def commander_of(made, accepts):
-    return make_commander(made, make_safety(made), accepts)
+    return make_commander(made, accepts)
 
 
 MISSIONS = {

@@ -6,7 +6,6 @@ import pytest
 from alula.schemas.artifacts.tiles import read_tiles
 from alula.schemas.errors import UsageError
 from alula.stages.flight.loop.supervisor import State
-from alula.stages.flight.mission import make_safety
 from support.flights import PILLAR, fly, mission
 from support.small_scenes import box_cover
 from support.tiled import KEY, folder_of
@@ -31,7 +30,7 @@ def test_a_flight_crosses_tiles_as_it_flies_the_whole_cover(tiles):
     ends = []
     for given in (None, tiles):
         made = mission(cover=cover, tiles=given)
-        assert (made.world.tiles is None) == (given is None)
+        assert (made.world.static.tiles is None) == (given is None)
         loop, vehicle = fly(made)
         assert loop.supervision.state is State.DONE
         ends.append(vehicle.x[:3].copy())
@@ -45,4 +44,4 @@ def test_tiles_are_for_polytope_cbf_and_must_reach_far_enough(tiles, tmp_path):
     near = folder_of(tmp_path / "near.tiles", cover, tile_m=1.0, reach_m=0.4, hysteresis_m=0.2)
     assert near.reach_m == pytest.approx(0.4)
     with pytest.raises(UsageError, match=r"the tiles reach 0\.4 m, .* export with a larger --reach"):
-        make_safety(mission(cover=cover, tiles=read_tiles(tmp_path / "near.tiles")))
+        mission(cover=cover, tiles=read_tiles(tmp_path / "near.tiles"))

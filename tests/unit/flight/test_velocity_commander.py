@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from alula.schemas.errors import UsageError
 from alula.schemas.scenarios.vehicle import FASTBRIDGE, IdentifiedTable, VelocitiesTable
 from alula.stages.filtering.protocol import FilterResult, FilterStatus
-from alula.stages.flight.mission import make_commander, make_safety
+from alula.stages.flight.mission import make_commander
 from alula.stages.vehicles.setpoints import RatesSetpoint, VelocitySetpoint
 from alula.stages.vehicles.simulated_body import STEP_S, Body
 from alula.stages.vehicles.velocity_lag import filter_lags_s, max_speed_m_s, needed_deceleration_m_s2
@@ -72,8 +72,8 @@ def stopping_s(step, speed):
 
 
 def commander_of(speed, lag):
-    made, safety = world(speed, lag)
-    return make_commander(made, safety, frozenset({VelocitySetpoint}))
+    made, _ = world(speed, lag)
+    return make_commander(made, frozenset({VelocitySetpoint}))
 
 
 def least_clearance(step, speed, lag, start, goals, ticks=90):
@@ -309,7 +309,7 @@ def test_a_fast_vehicle_does_not_cut_across_a_thin_pillar(share):
         fence=(-40.0, -40.0, 0.0, 40.0, 40.0, 10.0),
     )
     lag = made.config.velocity_lag_s
-    commander = make_commander(made, make_safety(made), frozenset({VelocitySetpoint}))
+    commander = make_commander(made, frozenset({VelocitySetpoint}))
     x, v, least = np.array([0.05 - 16.0 * share, 0.42, 1.5]), np.array([16.0 / lag, 0, 0]), math.inf
     for _ in range(160):
         decision = commander.decide(seen(x, v), 0.0, target_at((2.1, -3.6, 1.5)))

@@ -9,28 +9,28 @@ import pytest
 from alula.schemas.scenarios.scenario import decoded
 from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.filtering.protocol import FilterWorld
-from alula.stages.flight import mission as flight
 from alula.stages.world.world import make_world
 from support import flights
 from support.small_scenes import ball_scene, box_cover, line_plan
 
 MARGIN_M = 0.1
 COVER, SCENE = box_cover(flights.PILLAR), ball_scene([(2.0, 2.2, 1.0), (2.0, -1.0, 1.0)], 0.3)
+ALIGNED = dataclasses.replace(  # its alignment is known to 0.03 m
+    SCENE, manifest=msgspec.structs.replace(SCENE.manifest, suggested_inflation_m=0.03)
+)
 KINDS = {"polytope-cbf": "velocity", "cone-backup": "body-rates"}
 
 
-def told_by_fly(name, monkeypatch, **given):
-    seen = []
-    monkeypatch.setattr(flight, "make_filter", lambda _, told, __: seen.append(told))
-    flight.make_safety(flights.mission(name, margin_m=MARGIN_M, is_clear=True, **given))
-    return seen[0]
+def told_by_fly(name, **given):
+    return flights.mission(name, margin_m=MARGIN_M, is_clear=True, **given).world.told
 
 
-def told_by_simulate(name, **given):
+def told_by_simulate(name, inflation_m=None, **given):
     radius_m = FASTBRIDGE.body.radius_m + MARGIN_M
     tree = {
         "vehicle": {"type": "fastbridge", "interface": KINDS[name], "radius_m": radius_m},
-        "world": {role: role for role in given},
+        "world": {role: role for role in given}
+        | ({} if inflation_m is None else {"inflation_m": inflation_m}),
         "mission": {"kind": "goal", "start_m": flights.START, "goal_m": flights.GOAL},
         "safety": {"filters": [name]},
     }
@@ -41,14 +41,17 @@ def told_by_simulate(name, **given):
     ("name", "maps"),
     [
         ("polytope-cbf", {"cover": COVER}),
+        ("polytope-cbf", {"cover": COVER, "inflation_m": 0.05}),
+        ("polytope-cbf", {"cover": COVER, "scene": ALIGNED}),
+        ("cone-backup", {"cover": COVER, "scene": ALIGNED}),
         ("cone-backup", {"cover": COVER}),
         ("cone-backup", {"scene": SCENE}),
         ("cone-backup", {"cover": COVER, "scene": SCENE}),
     ],
 )
-def test_a_filter_is_told_in_fly_what_it_is_told_in_simulate(name, maps, monkeypatch):
+def test_a_filter_is_told_in_fly_what_it_is_told_in_simulate(name, maps):
     """All of its world, so that any filter of `simulate` can be built for `fly` too."""
-    flown, simulated = told_by_fly(name, monkeypatch, **maps), told_by_simulate(name, **maps)
+    flown, simulated = told_by_fly(name, **maps), told_by_simulate(name, **maps)
     assert flown.parts.keys() == simulated.parts.keys()
     for part in ("ellipsoids", "hulls", "fence"):
         assert flown.keeps_m(part) == simulated.keeps_m(part)
