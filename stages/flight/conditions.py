@@ -28,10 +28,7 @@ def guard_of(
     """Build the geofence behind all that is sent.
 
     Args:
-        config: of the command.
-        vehicle: contents of the vehicle's file.
         fence: volume to fly in, world frame.
-        accepts: kinds of set-points that the link accepts.
         reserve_m: distance that it keeps beyond the radius [m].
     """
     return FenceGuard(
@@ -62,8 +59,6 @@ def needs_of(
     """Requirements of a flight for the pre-flight checks.
 
     Args:
-        config: of the command.
-        vehicle: contents of the vehicle's file.
         setpoints: kinds of set-points; the link must accept one of them.
         ends: start and goal, each of shape (3,), world frame [m].
         departures: instants of the flight from which the vehicle may turn home, world frame.
@@ -71,9 +66,7 @@ def needs_of(
         margin_m: additional clearance of the climb path [m].
         fence: volume to fly in, world frame.
         plan: whether the flight is proven clear of the map, and how, in words.
-        speed_m_s: limit of the speed [m/s].
         map_origin_m: position in the world that became the map's origin [m]; None where it is its own.
-        map_words: the obstacles with their level.
     """
     law = vehicle.following.horizontal_lag
     model = rates_model(vehicle)
@@ -103,10 +96,5 @@ def needs_of(
 
 
 def limits_of(config: FlightConfig, **more: Any) -> SupervisorLimits:
-    """Limits of the supervisor.
-
-    Args:
-        config: of the command.
-        more: further fields.
-    """
+    """Limits of the supervisor."""
     return SupervisorLimits(stale_s=config.stale_s, battery_share=config.landing_share, **more)

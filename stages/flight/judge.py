@@ -57,10 +57,7 @@ def judge(
     that was flown then.
 
     Args:
-        mission: that was flown.
         rows: `FlightRecorder.rows`, shape (n, 13) with n >= 1.
-        cause: first event that ended the flight.
-        jobs: number of threads, 0 for all cores.
         joined: plans that the vehicle joined in flight, with their times, see `ControlLoop.joined`.
     """
     position, velocity = np.ascontiguousarray(rows[:, 1:4]), rows[:, 4:7]
@@ -130,10 +127,7 @@ def summary_of(
     """Summary of a flight, with the keys of `simulate`.
 
     Args:
-        trial: verdict on the flight.
-        supervision: last state of the supervisor.
         taken: steps of the supervisor with their times [s].
-        new_plans: number of plans that were joined in flight.
     """
     cause = supervision.cause
     return {
@@ -153,8 +147,6 @@ def timing_of(counters: Counters, dropped: int, rate_hz: float) -> dict[str, Any
     """Measured times of the loop, for the record.
 
     Args:
-        counters: of the loop.
-        dropped: number of samples that the log lacks.
         rate_hz: nominal rate of the loop [Hz].
     """
     found: dict[str, Any] = {}
@@ -178,13 +170,7 @@ def timing_of(counters: Counters, dropped: int, rate_hz: float) -> dict[str, Any
 
 
 def guarantee_of(mission: PlannedFlight, trial: TrialResult, new_plans: int = 0) -> Guarantee:
-    """Statement of what a flight shows; a real flight proves nothing about other flights.
-
-    Args:
-        mission: that was flown.
-        trial: verdict on the flight.
-        new_plans: number of plans that were joined in flight.
-    """
+    """Statement of what a flight shows; a real flight proves nothing about other flights."""
     name = mission.config.filter
     who = "without a filter" if name == "none" else f"behind the filter {name!r}"
     map_ = mission.map_words

@@ -82,19 +82,15 @@ class PlannedFlight:
     """Plan, vehicle and map of a real flight.
 
     Attributes:
-        config: complete configuration, see `resolve_fly`.
-        plan, cover: as given.
         world: what `simulate` builds for the same vehicle, maps and filter.
         is_splat: a filter of the whole quadrotor flies, among the ellipsoids of the scene if there is one;
             else one of velocities among the hulls of the cover.
-        curve: the plan.
         start: first point of the plan, shape (3,), world frame [m].
         sees_hulls: whether the filter keeps from the hulls.
         fence: volume to fly in, world frame.
         is_clear: whether the plan keeps the vehicle's radius from the map, and how this was found, in words;
             true also for a plan that is flown although it is not proven.
         along: compares the flight with the plan.
-        notes: warnings for the summary.
     """
 
     config: FlyConfig
@@ -148,14 +144,6 @@ def resolve_fly(
     has_cover: bool = False,
 ) -> FlyConfig:
     """Complete a configuration with values of the plan and the vehicle, and with defaults.
-
-    Args:
-        config: as given by the user.
-        plan: of kind `alula/plan`.
-        vehicle: contents of the vehicle's file.
-        is_splat: a filter of the whole quadrotor flies.
-        has_scene: there are ellipsoids.
-        has_cover: there are hulls.
 
     Raises:
         UsageError: the vehicle has no rotors, or a parameter of the filter is unknown.
@@ -242,15 +230,11 @@ def make_mission(
     The proof holds in continuous time, against hulls and against ellipsoids (`certify_curve`).
 
     Args:
-        config: as given by the user.
-        plan: of kind `alula/plan`.
-        vehicle: contents of the vehicle's file.
         cover: map of hulls, if there is one.
         scene: map of ellipsoids, if there is one.
         is_splat: a filter of the whole quadrotor flies, else one of velocities among the hulls.
         tiles: the cover in tiles, which `polytope-cbf` then reads, two at a time.
         within: seen space to stay in, beside a cover; unseen space counts like hulls.
-        jobs: number of threads, 0 for all cores.
 
     Raises:
         UsageError: a parameter is invalid.
@@ -383,14 +367,7 @@ def _mapped(plan: Artifact, mapped: Mapped | None, radius_m: float) -> list[tupl
 
 
 def _scenario(config: FlyConfig, vehicle: Vehicle, roles: set[str], *, is_splat: bool) -> Scenario:
-    """The scenario of a flight: what `simulate` would be given for the same vehicle, maps and filter.
-
-    Args:
-        config: complete, see `resolve_fly`.
-        vehicle: that flies.
-        roles: of the files that there are.
-        is_splat: a filter of the whole quadrotor flies.
-    """
+    """The scenario of a flight: what `simulate` would be given for the same vehicle, maps and filter."""
     named = {role: role for role in roles}
     name, parameters = config.filter, config.filter_parameters
     if name == IN_A_COVER:
@@ -451,10 +428,6 @@ def wanted_setpoints(mission: PlannedFlight) -> tuple[type[Setpoint], ...]:
 def make_commander(mission: PlannedFlight, accepts: frozenset[type[Setpoint]]) -> FlightCommander:
     """Build the commander: the flight of `simulate`, with the vehicle, the filter and the controller.
 
-    Args:
-        mission: to fly.
-        accepts: kinds of set-points that the link accepts.
-
     Raises:
         LinkError: the link accepts no kind of set-point that can carry the filter's output.
     """
@@ -494,12 +467,7 @@ def _response_room_m_s2(vehicle: Vehicle) -> float:
 
 
 def make_guard(mission: PlannedFlight, accepts: frozenset[type[Setpoint]]) -> FenceGuard:
-    """Build the geofence behind the filter.
-
-    Args:
-        mission: to fly.
-        accepts: kinds of set-points that the link accepts.
-    """
+    """Build the geofence behind the filter."""
     return guard_of(
         mission.config,
         mission.world.vehicle,
@@ -513,7 +481,6 @@ def make_needs(mission: PlannedFlight, setpoints: Iterable[type[Setpoint]]) -> N
     """Requirements of the flight for the pre-flight checks.
 
     Args:
-        mission: to fly.
         setpoints: kinds of set-points; the link must accept one of them.
     """
     config = mission.config
@@ -555,12 +522,7 @@ def _plan_verdict(mission: PlannedFlight, setpoint: type[Setpoint]) -> tuple[boo
 
 
 def make_options(config: FlyConfig, *, dry_run: bool) -> LoopOptions:
-    """Parameters of the control loop.
-
-    Args:
-        config: complete configuration, see `resolve_fly`.
-        dry_run: end after the pre-flight checks.
-    """
+    """Parameters of the control loop."""
     assert config.max_time_s is not None
     limits = limits_of(
         config,
@@ -581,20 +543,12 @@ def make_options(config: FlyConfig, *, dry_run: bool) -> LoopOptions:
 
 
 def make_clock(mission: PlannedFlight) -> PlanClock:
-    """Build the clock along the plan.
-
-    Args:
-        mission: to fly.
-    """
+    """Build the clock along the plan."""
     return PlanClock(mission.curve, mission.along.waits)
 
 
 def describe(mission: PlannedFlight) -> str:
-    """Describe the vehicle in words, for log and record.
-
-    Args:
-        mission: to fly.
-    """
+    """Describe the vehicle in words, for log and record."""
     vehicle = mission.world.vehicle
     sphere = f"a sphere of radius {exact(vehicle.body.radius_m)} m"
     assert vehicle.body.mass_kg is not None
@@ -602,11 +556,7 @@ def describe(mission: PlannedFlight) -> str:
 
 
 def head_facts(mission: PlannedFlight) -> dict[str, Any]:
-    """Fields of `FlightHead` that the mission determines.
-
-    Args:
-        mission: to fly.
-    """
+    """Fields of `FlightHead` that the mission determines."""
     return {
         "name": mission.config.name,
         "filter": mission.config.filter,

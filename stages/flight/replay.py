@@ -23,7 +23,6 @@ class Replayed:
     """Result of a replay.
 
     Attributes:
-        ticks: number of ticks that were compared.
         differing: times of the ticks whose set-point differs, since the start of the flight [s].
     """
 
@@ -35,7 +34,6 @@ def replay(log: Path, commander: FlightCommander) -> Replayed:
     """Feed the logged inputs of a flight to a commander, and compare its set-points with the logged ones.
 
     Args:
-        log: of the flight.
         commander: of the same mission and kind of set-point; it is reset.
 
     Raises:

@@ -45,11 +45,7 @@ RateLimits = tuple[RateLimit | None, RateLimit | None, RateLimit | None]
 
 
 def rate_lags(recording: Recording) -> tuple[Measured, Measured, Measured] | None:
-    """Times to 63 % of steps of the body rates; None unless all axes have one.
-
-    Args:
-        recording: of the flight.
-    """
+    """Times to 63 % of steps of the body rates; None unless all axes have one."""
 
     def about(axis: int) -> Measured | None:
         return _means_of(
@@ -65,11 +61,7 @@ def rate_lags(recording: Recording) -> tuple[Measured, Measured, Measured] | Non
 
 
 def rate_limits(recording: Recording) -> RateLimits:
-    """How fast the vehicle rotated in fast steps, about x, y, z of the body.
-
-    Args:
-        recording: of the flight.
-    """
+    """How fast the vehicle rotated in fast steps, about x, y, z of the body."""
 
     def is_about(step: Step, axis: int) -> bool:
         return step.is_fast and step.axis == axis
@@ -124,7 +116,6 @@ def thrust_lag(recording: Recording, gravity: float) -> Measured | None:
     """First-order lag of the thrust: the best fit of v = k (t - tau (1 - exp(-t / tau))) to the climb.
 
     Args:
-        recording: of the flight.
         gravity: g [m/s^2].
     """
 

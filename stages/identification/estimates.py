@@ -39,7 +39,6 @@ def line_of(x: Sequence[float] | FloatArray, y: Sequence[float] | FloatArray) ->
 
     Args:
         x: at least two different values.
-        y: measurements, as many.
     """
     A = np.column_stack([np.ones(len(x)), np.asarray(x, np.float64)])
     y = np.asarray(y, np.float64)

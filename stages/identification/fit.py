@@ -29,7 +29,6 @@ class Identification:
     """What the steps say about a vehicle.
 
     Attributes:
-        responses: of all velocity steps.
         horizontal_lag, vertical_lag: laws of stops, at each speed of the slower axis or direction.
         delay_s: from a set-point to 5 % of the response [s].
         deceleration_m_s2: horizontal, of the fastest stops [m/s^2].
@@ -61,10 +60,6 @@ class Identification:
 
 def fit(recording: Recording, gravity_m_s2: float) -> Identification:
     """Fit the response of a vehicle to its recorded steps.
-
-    Args:
-        recording: of the flight.
-        gravity_m_s2: g [m/s^2].
 
     Raises:
         CheckError: the horizontal steps do not determine a lag: fewer than two speeds have a stop.
@@ -118,7 +113,6 @@ def _slower_law(stops: Sequence[Response], way_of: Callable[[Response], float]) 
     """Law of the slower way at each speed; None with fewer than two speeds.
 
     Args:
-        stops: stops.
         way_of: the way of a stop: its axis, or its direction.
     """
     points = list[tuple[float, float]]()

@@ -53,12 +53,7 @@ class Recording:
     phase: NDArray[np.int64]
 
     def rows(self, step: int, *phases: Phase) -> NDArray[np.int64]:
-        """Indices of the rows of a step in some phases.
-
-        Args:
-            step: number of the step.
-            phases: of it.
-        """
+        """Indices of the rows of a step in some phases."""
         found: NDArray[np.int64] = np.flatnonzero((self.step == step) & np.isin(self.phase, phases))
         return found
 
@@ -73,11 +68,7 @@ class Tape:
         self._begins: list[dict[Phase, float]] = []
 
     def begin(self, step: Step) -> None:
-        """Begin a step.
-
-        Args:
-            step: the step.
-        """
+        """Begin a step."""
         self.steps.append(step)
         self._begins.append({})
 
@@ -85,7 +76,6 @@ class Tape:
         """Enter a phase of the newest step.
 
         Args:
-            phase: the phase.
             now_s: when its first set-point is sent, monotonic clock [s].
         """
         self._begins[-1][phase] = now_s
@@ -94,9 +84,7 @@ class Tape:
         """Record a tick, the newest step being flown; a state that was recorded is left out.
 
         Args:
-            state: of the vehicle.
             throttle: that the vehicle commands, a fraction; NaN if unknown.
-            phase: of the newest step.
         """
         if state.received_s <= self._newest_s:
             return

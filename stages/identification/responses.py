@@ -46,13 +46,7 @@ class Response:
 
 
 def step_responses(recording: Recording, number: int, step: Step) -> list[Response]:
-    """Responses to a velocity step and to its end; those that cannot be measured are left out.
-
-    Args:
-        recording: of the flight.
-        number: of the step in it.
-        step: the step.
-    """
+    """Responses to a velocity step and to its end; those that cannot be measured are left out."""
     rest, out, back = (recording.rows(number, phase) for phase in (Phase.REST, Phase.OUT, Phase.BACK))
     if min(len(rest), len(out), len(back)) < 5:
         return []
@@ -111,7 +105,6 @@ def crossing(times: FloatArray, values: FloatArray, level: float) -> float | Non
     Args:
         times: increasing, shape (T,) [s].
         values: shape (T,).
-        level: the level.
     """
     above = np.flatnonzero(values >= level)
     if len(above) == 0:

@@ -41,9 +41,6 @@ def identified_vehicle(
     speed that was reached if that is higher.
 
     Args:
-        vehicle: first guess.
-        found: fit of the steps.
-        speeds_m_s: speeds of the steps [m/s].
         name: of the vehicle; empty for that of the first guess.
         autopilot: description of the vehicle, as its link gives it.
         date: of the flight; may be empty.
@@ -166,9 +163,7 @@ def disagreements(found: Identification, guess: Vehicle, parameters: Mapping[str
     """A line for each value of the first guess that differs from the measured one by more than a quarter.
 
     Args:
-        found: fit of the steps.
         guess: vehicle's file before the flight.
-        parameters: of the vehicle, by name.
     """
     lines = list[str]()
     for what, measured, expected, unit in _compared(found, guess, parameters):

@@ -33,12 +33,10 @@ class StepFlight:
     long as the way out did. After a hold a step begins again.
 
     Args:
-        steps: to fly.
         centre: where the flight ends, shape (3,), world frame [m].
         half_m: half of the box without radius and reserve, shape (3,) [m].
         lag_s: longest lag of velocities [s].
         stop_m: distance of a stop from a speed along an axis [m].
-        gravity_m_s2: g [m/s^2].
         throttle: throttle that the vehicle commands, a fraction; NaN if unknown.
         say: receives the time, monotonic clock [s], and the name of each step that begins.
 
@@ -96,12 +94,7 @@ class StepFlight:
         self._enter(Phase.GO, math.inf)
 
     def advance(self, dt_s: float, error_m: float) -> None:
-        """See `PlanClock`; time advances with the states.
-
-        Args:
-            dt_s: step of the clock [s].
-            error_m: distance from the reference [m].
-        """
+        """See `PlanClock`; time advances with the states."""
 
     def target(self) -> FloatArray:
         """Reference, the box's centre, a row of `ReferenceCurve.at`, shape (1, 18)."""
@@ -114,11 +107,7 @@ class StepFlight:
         self._enter(Phase.GO, math.inf)
 
     def sent(self, setpoint: Setpoint) -> None:
-        """See `Commander`.
-
-        Args:
-            setpoint: as sent to the vehicle.
-        """
+        """See `Commander`."""
 
     def decide(self, state: VehicleState, age_s: float, target: FloatArray) -> Decision:
         """See `Commander`; a target other than its own is a hold.

@@ -103,8 +103,6 @@ def plan_steps(
     vehicle's radius and the reserve on both sides fit into the box.
 
     Args:
-        vehicle: first guess.
-        speeds_m_s: speeds [m/s].
         box: XMIN YMIN ZMIN XMAX YMAX ZMAX, world frame [m].
         reserve_m: additional distance to the box [m].
         rates: also steps of rates and thrust.

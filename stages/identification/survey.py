@@ -65,8 +65,6 @@ def make_survey(
     """Plan the steps of a flight.
 
     Args:
-        config: of the command.
-        vehicle: first guess.
         parameters: of the vehicle, by name, which take precedence over the first guess.
 
     Raises:
@@ -103,7 +101,6 @@ def make_step_flight(
     """Build the commander and clock.
 
     Args:
-        survey: to fly.
         throttle: throttle that the vehicle commands, a fraction; NaN if unknown.
         say: receives the time, monotonic clock [s], and the name of each step that begins.
     """
@@ -129,21 +126,12 @@ def make_step_flight(
 
 
 def make_step_guard(survey: Survey, accepts: frozenset[type[Setpoint]]) -> FenceGuard:
-    """Build the geofence, which is the box.
-
-    Args:
-        survey: to fly.
-        accepts: kinds of set-points that the link accepts.
-    """
+    """Build the geofence, which is the box."""
     return guard_of(survey.config, survey.vehicle, survey.fence, accepts, reserve_m=_FENCE_RESERVE_M)
 
 
 def make_step_needs(survey: Survey) -> Needs:
-    """Requirements for the pre-flight checks; the corners of the box stand for the path.
-
-    Args:
-        survey: to fly.
-    """
+    """Requirements for the pre-flight checks; the corners of the box stand for the path."""
     low, high = survey.config.box[:3], survey.config.box[3:]
     return needs_of(
         survey.config,
@@ -160,12 +148,7 @@ def make_step_needs(survey: Survey) -> Needs:
 
 
 def make_step_options(survey: Survey, *, dry_run: bool) -> LoopOptions:
-    """Parameters of the control loop.
-
-    Args:
-        survey: to fly.
-        dry_run: end after the pre-flight checks.
-    """
+    """Parameters of the control loop."""
     longest_s = sum(step.duration_s + _BETWEEN_S for step in survey.steps.flown)
     limits = limits_of(survey.config, flight_s=longest_s)
     return LoopOptions(rate_hz=survey.config.rate_hz, limits=limits, dry_run=dry_run, margin_m=0.3)

@@ -62,8 +62,6 @@ class SimulatedVehicle:
     sticks by `copter.pilot`.
 
     Args:
-        copter: the vehicle.
-        faults: faults to inject.
         seed: seed of the faults and of the noise of motion capture.
         channel: number of the serial port; channel 0 accepts unsigned packets even with a key.
         key: 32 bytes for signatures, or None.
@@ -116,9 +114,6 @@ class SimulatedVehicle:
 
     def advance(self, to_s: float) -> list[bytes]:
         """Simulate up to a time since boot.
-
-        Args:
-            to_s: the time [s].
 
         Returns:
             The packets to send, each in a datagram of its own.
@@ -186,7 +181,6 @@ class Camera:
     """Motion capture: the true pose with noise of 0.5 mm, in east-north-up with body forward-left-up.
 
     Args:
-        seed: seed of the noise.
         start: initial position of the vehicle in the camera's frame [m].
     """
 
@@ -196,12 +190,7 @@ class Camera:
         self._random = np.random.default_rng([seed, 11])
 
     def datagram(self, time_s: float, truth: Motion) -> bytes:
-        """Datagram for `alula fly --mocap`: time [s], position [m], attitude (w, x, y, z) as JSON.
-
-        Args:
-            time_s: time since boot [s].
-            truth: true motion of the vehicle.
-        """
+        """Datagram for `alula fly --mocap`: time [s], position [m], attitude (w, x, y, z) as JSON."""
         position = self._frame.position_from_ned(np.array(truth.position))
         position += _MOCAP_NOISE_M * self._random.standard_normal(3)
         attitude = self._frame.attitude_from_ned(np.array(truth.attitude))

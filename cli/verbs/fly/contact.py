@@ -36,7 +36,6 @@ def reach(link: Link, address: str, *, quiet: bool) -> Contact:
 
     Args:
         link: to the vehicle; not yet open.
-        address: of the link, for people.
 
     Raises:
         LinkError: no vehicle answers, or it cannot be flown; or the watchdog does not run.

@@ -48,8 +48,6 @@ def fly(
 
     Args:
         link: to the vehicle; not yet open.
-        live: port of the live view; None for none.
-        foxglove: port of the server for Foxglove; None for none.
         start_ns: log time of the start, nanoseconds since 1970-01-01 UTC; None: by this machine's clock.
         paths: files of plan and maps by role, for new plans in flight and for the live view; None for none.
 

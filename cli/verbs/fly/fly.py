@@ -39,16 +39,8 @@ def fly(
     """Fly a plan on a vehicle, write its log and its record, and print the verdict.
 
     Args:
-        source: a plan, or a scenario with one.
         fields: of `FlyConfig`, those that are given; they take precedence over those of the scenario.
-        map: cover, tiles or scene to fly in.
         key: that must have signed the tiles.
-        scene: beside a cover.
-        within: seen space to stay in.
-        vehicle_name: of a built-in vehicle, or a file.
-        settings: parameters of a filter, by name.
-        live: port of the live view.
-        foxglove: port of the server for Foxglove.
 
     Raises:
         UsageError, InputError: files and options do not go together.

@@ -17,10 +17,6 @@ def inputs_of(
 ) -> tuple[dict[str, Path], Read | None]:
     """Paths of all inputs by role, and the scenario if there is one; its files are relative to its folder.
 
-    Args:
-        source: scenario or plan.
-        map_path: cover, tiles or scene of --map.
-
     Raises:
         WrongKindError: a file is of another kind.
         UsageError: the files do not go together, or there is no plan.
@@ -50,9 +46,6 @@ def is_among_ellipsoids(name: str, paths: Mapping[str, Path]) -> bool:
     """Decide by the filter between flights by rates or accelerations (True) and by velocities among hulls.
 
     The filter `none` takes the cover if there is one.
-
-    Args:
-        paths: files by role.
 
     Raises:
         UsageError: there is no such filter, or its map is missing.

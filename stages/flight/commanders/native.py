@@ -34,9 +34,7 @@ class FlightCommander:
     Attributes:
         flight: vehicle, mission `given`, and filters.
         setpoint: kind of set-point to send, the flight's interface.
-        body: of the vehicle.
         delay_s: assumed age of a state when it arrives; a longer measured latency replaces it [s].
-        dt_s: duration of a tick [s].
         command: kind of command that the last filter returns; None without a filter.
     """
 
@@ -71,11 +69,7 @@ class FlightCommander:
         )
 
     def step(self, inputs: TickInputs) -> Decision:
-        """Decide from the inputs of a tick, which are those of a logged one in a replay.
-
-        Args:
-            inputs: of the tick.
-        """
+        """Decide from the inputs of a tick, which are those of a logged one in a replay."""
         self._decided, self._times = None, 0
         now_s = self._ticks * self.dt_s
         self._ticks += 1

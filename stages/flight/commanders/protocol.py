@@ -36,13 +36,11 @@ class Decision:
 
     Attributes:
         setpoint: to send; None when the filter has no safe input.
-        status: of the filter.
         margin: value of the filter's barrier; among hulls a distance [m].
         nominal, safe: command before and after the filter, shape (3,), world frame: velocities [m/s] or
             accelerations [m/s^2].
         error_m: distance from the reference [m].
         active: index of the obstacle that determines the command, -1 for none.
-        infeasible, certified: as reported by the filter.
         thrust_nominal_n: thrust of the controller [N]; None for velocity set-points.
         inputs: of the native flight; None of other commanders.
         disturbance: estimated acceleration that the model leaves out, shape (3,), world frame [m/s^2]; None
@@ -90,9 +88,5 @@ class Commander(Protocol):
         ...
 
     def sent(self, setpoint: Setpoint) -> None:
-        """Register the set-point that was sent; the geofence may have replaced the computed one.
-
-        Args:
-            setpoint: as sent to the vehicle.
-        """
+        """Register the set-point that was sent; the geofence may have replaced the computed one."""
         ...

@@ -60,9 +60,6 @@ class Address:
     def only(self, *names: str) -> None:
         """Reject options with other names.
 
-        Args:
-            *names: the option names that the scheme has.
-
         Raises:
             UsageError: the address has another option.
         """
@@ -74,9 +71,6 @@ class Address:
 
 def parse_address(text: str) -> Address:
     """Parse an address.
-
-    Args:
-        text: the address, as in `scheme:place?name=value&...`.
 
     Raises:
         UsageError: it has no scheme, or its options are not name=value.
@@ -101,7 +95,6 @@ def check_address(text: str, allow_remote: bool) -> None:
     Addresses of `LOCAL_SCHEMES` always pass.
 
     Args:
-        text: the address.
         allow_remote: accept remote addresses and schemes that may be remote.
 
     Raises:

@@ -112,7 +112,6 @@ class Mocap:
         """Receive datagrams and return the messages that are due.
 
         Args:
-            now_s: monotonic clock [s].
             start_s: zero of the time stamps in the messages, same clock [s].
         """
         self.take_all(now_s)
@@ -137,9 +136,7 @@ class Mocap:
         """Process a datagram.
 
         Args:
-            data: its content.
             now_s: when it arrived, monotonic clock [s].
-            sender: its address.
         """
         is_stranger = sender != self._sender and now_s - self._heard_s < _DESERTED_S
         sample = None if is_stranger else self._checked(data)

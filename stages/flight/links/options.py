@@ -37,7 +37,6 @@ class LinkOptions:
     Attributes:
         frame: the world frame relative to the vehicle's local frame.
         vehicle: the vehicle file; gives the body of `sim:`, gravity, and the limits of body rates.
-        state_rate_hz: rate at which state messages are requested [Hz].
         limits: limits of set-points; None for the vehicle's body rates and otherwise the defaults.
         flies_rates: set-points are body rates. A link then sets further parameters: the vehicle follows rates
             at once, and lands soon after this program ended. It also estimates the hover throttle in flight.
@@ -46,11 +45,7 @@ class LinkOptions:
         signing_file: file that stores the newest signature time stamp between runs; required with a key.
         mocap: `udp:HOST:PORT` to receive motion capture on, which is forwarded to the vehicle.
         origin: latitude, longitude [deg] and height [m] sent as the origin to a vehicle without satellites.
-        allow_remote: allow addresses of other machines.
         ground: makes the ground of `sim:` in the world frame, when the link is opened; None for a flat floor.
-        clock: monotonic clock [s].
-        wall_clock: time since 1970 [s].
-        sleep: function that waits for a time [s].
     """
 
     frame: LocalFrame = field(default_factory=LocalFrame)

@@ -29,7 +29,6 @@ class Failsafe:
 
     Attributes:
         cause: what triggers it, in words that follow "when".
-        action: what it does.
         setting: the parameter that selects the action, with its value.
         stays: the parameter, "to", and the value with which it does not fly home.
     """
@@ -88,7 +87,6 @@ class OwnSafety:
 
     Attributes:
         failsafes: all that are known, also those without an action.
-        way_home: how it flies home.
         not_home: why it may fly elsewhere than `way_home` says; empty if it does not.
         lowest_m, highest_m: heights of its fence above the take-off position [m].
         farthest_m: radius of its fence around the take-off position [m].

@@ -76,12 +76,9 @@ class VehicleStatus:
 
     Attributes:
         heard_s: when the last valid packet arrived, monotonic clock [s].
-        armed: whether the vehicle reports that it is armed.
         landed: whether the vehicle reports that it is on the ground.
         obeys: whether its mode follows this program's set-points.
-        mode: name of the mode.
         battery_share: remaining charge, a fraction from 0 to 1.
-        battery_v: voltage [V].
         is_estimator_ready: whether its own estimate of position and attitude is good enough to fly.
         estimator: why `is_estimator_ready` is False, in words; may be empty.
         without_position: what its position needs and lacks, in words; empty if it reports one, or not known.
@@ -94,7 +91,6 @@ class VehicleStatus:
         texts: its messages for people, oldest first; the reader removes them.
         refusals: commands that it refused or did not execute, with the reason; the reader removes them.
         bad_packets: number of packets that were refused.
-        lost_packets: number of packets that are missing.
         clock_jumps: how often the vehicle's clock jumped: it restarted and lost its earlier settings.
     """
 
@@ -152,21 +148,13 @@ class Ward:
 
 
 def refusal_words(order: Order, reason: str) -> str:
-    """One line for the user about a failed command; a missing answer is not called a refusal.
-
-    Args:
-        order: the command that failed.
-        reason: the reason, as in `VehicleStatus.refusals`.
-    """
+    """One line for the user about a failed command; a missing answer is not called a refusal."""
     is_undone = reason.startswith((UNANSWERED, UNDONE))
     return f"{'command to' if is_undone else 'vehicle refuses to'} {order.value}: {reason}"
 
 
 def check_height(height_m: float) -> None:
     """Reject a take-off height that is not above 0 and at most `HIGHEST_M`.
-
-    Args:
-        height_m: take-off height [m].
 
     Raises:
         LinkError: the height is out of this range.
@@ -219,7 +207,6 @@ class Link(Protocol):
 
         Args:
             setpoint: the set-point, world frame.
-            now_s: monotonic clock [s].
 
         Raises:
             LinkError: it is not finite or out of the vehicle's range.
@@ -227,13 +214,7 @@ class Link(Protocol):
         ...
 
     def order(self, order: Order, now_s: float, height_m: float = 0.0) -> None:
-        """Send a command; `poll` repeats it until it is answered or replaced by another command.
-
-        Args:
-            order: the command.
-            now_s: monotonic clock [s].
-            height_m: take-off height [m].
-        """
+        """Send a command; `poll` repeats it until it is answered or replaced by another command."""
         ...
 
     def close(self) -> None:

@@ -39,7 +39,6 @@ def make_link(address: Address, options: LinkOptions) -> SimulatedLink:
     """Make the link for an address `sim:?name=value&...`.
 
     Args:
-        address: the parsed address.
         options: options of the link; `mocap` must be None.
 
     Raises:
@@ -80,9 +79,6 @@ class SimulatedLink:
     true state, without noise.
 
     Args:
-        vehicle: the vehicle file.
-        body: the body that flies.
-        options: options of the link.
         yaw_rad: initial heading, world frame [rad].
         battery_s: time until the battery is empty [s].
     """
@@ -154,7 +150,6 @@ class SimulatedLink:
 
         Args:
             setpoint: the set-point, world frame.
-            now_s: monotonic clock [s].
 
         Raises:
             LinkError: the vehicle's model does not take its kind, or a field is not finite.
@@ -171,8 +166,6 @@ class SimulatedLink:
         """Execute or refuse a command at once.
 
         Args:
-            order: the command.
-            now_s: monotonic clock [s].
             height_m: take-off height above the present position [m].
 
         Raises:

@@ -27,8 +27,6 @@ class FlightChecks:
     """Pre-flight checks of one flight; they are repeated while all checks that fail may pass later.
 
     Args:
-        needs: requirements of the flight.
-        changed: parameters that `Link.prepare` changed, one line each.
         trouble: reason why `Link.prepare` failed; empty if it did not.
         observe_s: duration of the observation before each evaluation [s].
         patience_s: time after which a failed check is final even if it may pass later [s].
@@ -65,14 +63,7 @@ class FlightChecks:
         self._late_s, self._seen_s, self._since_s = 0.0, -1.0, 0.0
 
     def look(self, link: Link, now_s: float, late_s: float, say: Say) -> None:
-        """Register a tick; sets `result` as soon as it is known.
-
-        Args:
-            link: to the vehicle.
-            now_s: monotonic clock [s].
-            late_s: lateness of the tick [s].
-            say: logs a message of a level.
-        """
+        """Register a tick; sets `result` as soon as it is known."""
         if self.result is not None:
             return
         if self._first_s is None:

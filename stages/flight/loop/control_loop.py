@@ -65,8 +65,6 @@ class LoopOptions:
     """Parameters of the control loop.
 
     Attributes:
-        rate_hz: ticks per second [Hz].
-        limits: of the supervisor.
         dry_run: end after the pre-flight checks.
         watch_frame: compare motion with the frame from take-off on.
         stop_m, stop_speed_m_s: maximum distance from the end of the plan [m] and maximum speed [m/s] at which
@@ -74,7 +72,6 @@ class LoopOptions:
         margin_m: additional distance at which a filter may stop the vehicle [m]; it is accepted after the
             vehicle has been at rest for `rest_s` [s].
         velocity_lag_s: longest lag with which the vehicle is assumed to follow velocities [s].
-        max_speed_m_s: limit of velocity set-points [m/s].
         max_disturbance_m_s2: largest acceleration that the vehicle's model may leave out [m/s^2].
     """
 
@@ -97,7 +94,6 @@ class Counters:
 
     Attributes:
         late_s, tick_s: lateness and duration of each tick, in all states [s].
-        filter_s: duration of each decision of the commander [s].
         overruns: ticks that ended after the next deadline.
         skipped: deadlines that were left out.
     """
@@ -120,19 +116,10 @@ class ControlLoop:
     left out. An exception of the filter leads to a hold.
 
     Args:
-        link: to the vehicle, opened and prepared.
-        commander: computes set-points.
-        guard: geofence.
-        plan: time along the plan.
-        checks: pre-flight checks.
         height_m: height of the plan's start, world frame [m].
-        recorder: receives samples and messages.
-        options: see `LoopOptions`.
         watchdog: takes the vehicle over when this loop ends or stalls; `run` closes it. None for none.
         replanner: makes new plans where the filter holds the vehicle up; `run` closes it. None for none.
         interrupts: returns how often the operator has interrupted the program.
-        clock: returns monotonic time [s].
-        sleep: waits for a time [s].
     """
 
     def __init__(
@@ -260,7 +247,6 @@ class ControlLoop:
         """Run one tick.
 
         Args:
-            now_s: monotonic clock [s].
             late_s: time since the deadline of this tick [s].
             spent_s: duration of the tick before [s].
         """
@@ -599,13 +585,7 @@ class ControlLoop:
         )
 
     def say(self, now_s: float, level: int, words: str) -> None:
-        """Log a message for the operator.
-
-        Args:
-            now_s: monotonic clock [s].
-            level: `INFO`, `WARNING` or `ERROR`.
-            words: the message.
-        """
+        """Log a message for the operator."""
         self.recorder.say(now_s - self._begin_s, level, words)
 
     def _emergency_land(self) -> None:

@@ -94,8 +94,6 @@ def departures_of(plan: Artifact, limit_m_s: float, law: tuple[float, float]) ->
     of its stretches along and across v.
 
     Args:
-        plan: an `alula/plan`.
-        limit_m_s: limit of the speed [m/s].
         law: time of a stop, a [s] and b [s^2/m], not negative, see `stop_m`.
     """
     knots = np.asarray(plan["time"], np.float64)

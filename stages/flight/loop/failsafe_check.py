@@ -24,13 +24,10 @@ def failsafe_faults(
     """What is wrong with the vehicle's failsafes and fence for a flight.
 
     Args:
-        own: of the vehicle.
         departures: instants of the flight from which it may turn home, world frame, z up.
         home: take-off position, shape (3,), world frame [m].
         obstacles: by name, world frame.
-        radius_m: radius of the vehicle [m].
         foot_m: the last part of the way down, to leave out the ground [m].
-        map_words: the obstacles with their level.
 
     Returns:
         A sentence for each fault; and what was found if there is none.

@@ -45,9 +45,6 @@ def rates_model(vehicle: Vehicle) -> RacerModel:
     The map from throttle to thrust is the one in the vehicle's file, else linear up to the maximum thrust of
     the rotors.
 
-    Args:
-        vehicle: contents of the vehicle's file.
-
     Raises:
         UsageError: the vehicle has no rotors.
     """
@@ -75,8 +72,6 @@ class FenceGuard:
     Args:
         fence: volume to fly in, world frame.
         vehicle: contents of the vehicle's file; its radius is kept from the fence.
-        dt_s: duration of a tick [s].
-        takes_rates: the link accepts rates.
         reserve_m: distance kept beyond the radius, for errors of the model [m].
         latency_s: assumed latency of state and command; the state is predicted over what a longer measured
             one exceeds it by [s].
@@ -134,8 +129,6 @@ class FenceGuard:
 
         Args:
             state: of the vehicle, world frame.
-            age_s: age of the state [s].
-            setpoint: of the commander.
         """
         ahead_s = age_s + max(0.0, state.latency_s - self._latency_s)
         row = np.concatenate(

@@ -176,7 +176,6 @@ class MotionCheck:
     hover gives no information about the frame.
 
     Args:
-        window_s: length of a window [s].
         path_m: displacement after which the positions are compared [m].
         change_m_s: sum of the changes, from window to window, of the velocity that the tilt gives in one,
             after which the accelerations are compared [m/s].

@@ -56,11 +56,7 @@ class PlanClock:
     It is the clock of `simulate`: `native/core/include/alula/flight/plan_clock.hpp`.
 
     Args:
-        curve: the plan.
         options: errors that slow the time down, and the via points at which it waits.
-
-    Attributes:
-        curve: the plan.
     """
 
     def __init__(self, curve: _core.ReferenceCurve, options: _core.PlanClockOptions) -> None:
@@ -107,7 +103,6 @@ class PlanClock:
         """Advance by a time step.
 
         Args:
-            dt_s: step of the clock [s].
             error_m: distance of the vehicle from the reference [m].
         """
         self._clock.advance(dt_s, error_m)

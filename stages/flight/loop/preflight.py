@@ -36,20 +36,14 @@ class Needs:
         setpoints: kinds of set-points; the link must accept one of them.
         start, goal: ends of the plan, each of shape (3,), world frame [m].
         departures: instants of the flight from which the vehicle may turn home, world frame.
-        speed_m_s: limit of the speed [m/s].
-        stop_m: distance in which the vehicle stops by itself from this speed [m].
         obstacles: obstacles by name, world frame.
-        map_words: the obstacles with their level.
         map_origin_m: position in the world that became the map's origin [m]; None where it is its own.
-        radius_m: radius of the vehicle [m].
         margin_m: additional clearance of the climb path [m].
         fence: volume to fly in, world frame.
         plan: whether the plan is proven clear of the map, and how, in words.
         max_thrust_m_s2: maximum thrust per mass in the vehicle's file [m/s^2].
-        gravity_m_s2: gravity in the vehicle's file [m/s^2].
         near_m: maximum horizontal distance between the vehicle and the start [m].
         state_hz: minimum rate of states [Hz].
-        loop_hz: nominal rate of the loop [Hz].
         silence_s, stale_s: maximum age of the last message and of the state [s].
         latency_s: latency for which the geofence was made; the measured one must not exceed it [s].
         battery_share: minimum charge, from 0 to 1; with 0 the vehicle need not report it.
@@ -89,14 +83,8 @@ class Observed:
 
     Attributes:
         now_s: end of the observation, monotonic clock [s].
-        seconds: duration of the observation [s].
-        status, state: newest status and state of the vehicle.
-        accepts: kinds of set-points that the link accepts.
         changed: parameters that the link has set, one line each.
         trouble: reason why the link could not set the parameters; empty if it could.
-        states: number of states received.
-        ticks: number of ticks of the loop.
-        worst_late_s: maximum lateness of a tick [s].
         hover: throttle at hover reported by the vehicle, from 0 to 1; None if it is not reported.
     """
 
@@ -117,9 +105,6 @@ class Verdict(NamedTuple):
     """Result of one check.
 
     Attributes:
-        name: of the check.
-        holds: whether it passed.
-        words: what was found.
         of_link: the link or the vehicle is the cause of a failure.
         is_unknown: the vehicle has not yet reported a required value.
         room_m: distance by which the vehicle may leave the climb path without touching anything [m]; only the
@@ -422,10 +407,6 @@ CHECKS: tuple[Callable[[Observed, Needs], Verdict], ...] = (
 
 def verdicts(seen: Observed, needs: Needs) -> list[Verdict]:
     """Run all checks, whatever the results of the others.
-
-    Args:
-        seen: observations of the vehicle.
-        needs: requirements of the flight.
 
     Returns:
         One verdict per check, in the order of `CHECKS`.

@@ -78,7 +78,6 @@ class Facts:
     """Facts of one tick; None is unknown.
 
     Attributes:
-        now_s: monotonic clock [s].
         state_age_s: age of the newest state [s].
         jump_m: distance of its position from the predicted one, see `JumpWatch` [m].
         silence_s: time since the last valid message [s].
@@ -94,19 +93,13 @@ class Facts:
         is_lying, is_over, is_fallen, is_still: as `CrashWatch` found.
         restarted: the vehicle has rebooted since the checks, and has lost all orders and parameters.
         checks: result of the pre-flight checks; None while they run.
-        dry_run: the flight ends after the checks.
         climbed_m: height above the position of the checks [m].
         height_m: height of the take-off above the same position [m].
-        frame_wrong: the motion contradicts the frame.
-        late_s: lateness of the last tick [s].
         overruns: number of ticks that overran in a row.
         filter: result of the last call of the filter.
         fallback_s: time for which the filter or the geofence has flown a fallback [s].
         model_off_s: time for which the motion has contradicted the vehicle's model, see `ModelWatch` [s].
         fence_m: distance to the fence [m]; None without a state.
-        plan_done: the vehicle is at the end of the plan.
-        watchdog: the watchdog has taken the vehicle over.
-        interrupts: how often the operator has interrupted the program.
     """
 
     now_s: float
@@ -153,13 +146,11 @@ class Supervision:
     """State of the supervisor and what it remembers.
 
     Attributes:
-        state: the state of the flight, entered at `since_s` [s].
         seen: events that were handled in this state without leaving it.
         well_since_s: time since which no cause of a hold has been present, in a hold [s].
         engaged: the vehicle has followed set-points since it was ordered to.
         unheeded_s: time since which the vehicle has not been in the ordered mode [s].
         flying_s: time at which the plan was first flown; a hold does not reset it [s].
-        holds: number of holds so far.
         failsafe_s: time since which the vehicle reports a failsafe and still follows set-points [s].
         cause: first event that ended the flight, as planned or not; after a finished plan the first one that
             spoilt its landing; None so far.
@@ -195,11 +186,7 @@ _SPOILS = frozenset({Event.FAILSAFE, Event.ESTIMATOR_BAD, Event.LANDED_AWAY, Eve
 
 
 def sends_setpoints(state: State) -> bool:
-    """Return True if set-points along the plan are sent in a state.
-
-    Args:
-        state: of the supervisor.
-    """
+    """Return True if set-points along the plan are sent in a state."""
     return state is State.FLY
 
 
@@ -207,8 +194,6 @@ def advance(was: Supervision, facts: Facts, limits: SupervisorLimits) -> tuple[S
     """Take the steps of the events in the facts, most urgent first, up to one that leaves the state.
 
     Args:
-        was: state before.
-        facts: of this tick.
         limits: beyond which a fact is an event.
 
     Returns:
@@ -234,9 +219,6 @@ def advance(was: Supervision, facts: Facts, limits: SupervisorLimits) -> tuple[S
 def begun(now_s: float) -> tuple[Supervision, list[Taken]]:
     """Start a flight: the checks begin.
 
-    Args:
-        now_s: monotonic clock [s].
-
     Returns:
         The state now, and the step that was taken.
     """
@@ -249,8 +231,6 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
     """Yield all events that the facts show, most urgent first; NaN counts as beyond its limit.
 
     Args:
-        was: state before.
-        facts: of this tick.
         limits: beyond which a fact is an event.
     """
     state = was.state

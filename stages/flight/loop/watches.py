@@ -46,7 +46,6 @@ class ModeWatch:
         """Register an order that is about to be sent.
 
         Args:
-            order: the order.
             status: of the vehicle, before the order.
         """
         if self._before is None:
@@ -99,20 +98,11 @@ class HealthWatch:
         self._since_s = math.inf
 
     def armed(self, status: VehicleStatus) -> None:
-        """Store which health values the vehicle reports; called when it is about to be armed.
-
-        Args:
-            status: of the vehicle, now.
-        """
+        """Store which health values the vehicle reports; called when it is about to be armed."""
         self._reported = tuple(name for name in _HEALTH if getattr(status, name) is not None)
 
     def is_unknown(self, status: VehicleStatus, now_s: float) -> bool:
-        """Return True when a value that was reported has been unknown for more than 1 s.
-
-        Args:
-            status: of the vehicle, now.
-            now_s: monotonic clock [s].
-        """
+        """Return True when a value that was reported has been unknown for more than 1 s."""
         is_unknown = any(getattr(status, name) is None for name in self._reported)
         self._since_s = min(self._since_s, now_s) if is_unknown else math.inf
         return now_s - self._since_s > _UNKNOWN_S
@@ -217,9 +207,6 @@ class ModelWatch:
         lag_s: lag that filters of velocities assume [s].
         max_speed_m_s: limit of velocity set-points [m/s].
         max_m_s2: largest acceleration that the model may leave out [m/s^2].
-
-    Attributes:
-        words: the comparison that failed last, in words.
     """
 
     def __init__(self, lag_s: float, max_speed_m_s: float, max_m_s2: float) -> None:
@@ -237,9 +224,7 @@ class ModelWatch:
         """Compare the motion in a tick.
 
         Args:
-            now_s: monotonic clock [s].
             state: of the vehicle, world frame.
-            decision: of the commander.
             sent: set-point that was sent in this tick; None if none was.
         """
         is_off = isinstance(sent, VelocitySetpoint) and self._leaves(

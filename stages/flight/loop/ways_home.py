@@ -29,7 +29,6 @@ class Meeting(NamedTuple):
 
     Attributes:
         distance_m: distance to the obstacle; no way home comes closer [m].
-        name: of the obstacle.
         at: where on the plan the vehicle turns home, shape (3,), world frame [m].
         height_m: height of the level part above the take-off position [m].
         coast_m: how far it flies on before the way begins [m].
@@ -91,7 +90,6 @@ def closest_way_home(
     halved, down to 5 mm.
 
     Args:
-        way: how the vehicle flies home.
         departures: from which it turns home, world frame, z up.
         home: take-off position, shape (3,), world frame [m].
         obstacles: by name, world frame.

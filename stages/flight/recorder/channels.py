@@ -45,12 +45,8 @@ class FlightHead(msgspec.Struct, frozen=True, kw_only=True):
     """First message to the processes beside the flight: all facts that are known before it.
 
     Attributes:
-        name, filter, vehicle: for reports.
-        frame: name of the map's frame.
         is_splat: the filter uses ellipsoids.
         log_every: the log holds every so many ticks.
-        radius_m: of the vehicle [m].
-        provenance: of the log and its record.
         map_message: the map; the start of the flight becomes its time.
         cloud: Gaussians, with the time as of the map; None without a scene.
         plan: points of the plan, world frame [m].

@@ -37,7 +37,6 @@ def open_foxglove(port: int, head: FlightHead) -> tuple[FlightPipe, str]:
     """Start the server and wait until Foxglove can connect to it.
 
     Args:
-        port: to listen on, of loopback.
         head: facts that are known before the flight.
 
     Returns:

@@ -54,9 +54,6 @@ class ViewHead(msgspec.Struct, frozen=True, kw_only=True):
     """First message to the view: the map as logged, the plan, and names.
 
     Attributes:
-        name, filter, vehicle: as in `FlightHead`.
-        radius_m: radius of the vehicle [m].
-        map_message: the map.
         plan: points of the plan, world frame [m].
         rotors_m: places of the rotors, body frame [m].
         files: scene and plan, to show the splat and the corridor.
@@ -80,7 +77,6 @@ def open_view(port: int, head: ViewHead) -> tuple[FlightPipe, str]:
     """Start the process of the view and wait until a browser can connect to it.
 
     Args:
-        port: to listen on, of loopback.
         head: facts that are known before the flight.
 
     Returns:

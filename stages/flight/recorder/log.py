@@ -66,14 +66,11 @@ class FlightRecorder:
         echo: the writer also prints messages on its standard error.
         views: processes of live views. They also receive messages, steps and about 25 ticks a second, if
             they have room for them.
-        rate_hz: rate of ticks [Hz].
         start_ns: log time of the start of the flight, nanoseconds since 1970-01-01 UTC; None: by the clock of
             this machine.
 
     Attributes:
         has_flown: the vehicle has taken off, or is taking off.
-        dropped: number of samples that the log lacks.
-        unseen: number of samples that the live views lack.
 
     Raises:
         OutputError: the log cannot be written.
@@ -165,10 +162,7 @@ class FlightRecorder:
         """Add a file to the log, after the flight: this waits for the writer.
 
         Args:
-            name: of the file.
-            time_s: log time [s].
             data: its bytes.
-            timeout_s: maximum time to wait [s].
         """
         with suppress(OSError):  # then `finish` reports that the log is not complete
             self._pipe.put(encoded(FileSample(time_s, name, data)), timeout_s)
@@ -178,7 +172,6 @@ class FlightRecorder:
 
         Args:
             record: of the flight, to store in the log, if there is one.
-            timeout_s: maximum time to wait [s].
 
         Returns:
             True if the log is complete.
@@ -227,11 +220,7 @@ class FlightRecorder:
 
 
 def row_of(sample: TickSample) -> tuple[float, ...]:
-    """Row of `FlightRecorder.rows`; empty for a tick that has none.
-
-    Args:
-        sample: of the tick.
-    """
+    """Row of `FlightRecorder.rows`; empty for a tick that has none."""
     loop, state, done = sample.supervisor, sample.state, sample.safety
     if state is None or (done is None and loop.state_name not in (State.FLY.value, State.HOLD.value)):
         return ()

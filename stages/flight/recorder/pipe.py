@@ -24,7 +24,6 @@ class FlightPipe:
         code: Python code of the process; it reads messages by `next_message`.
         arguments: arguments of the process, from `sys.argv[1]` on.
         files: descriptors that the process inherits.
-        stdout: standard output of the process, as for `subprocess.Popen`.
     """
 
     def __init__(
@@ -47,7 +46,6 @@ class FlightPipe:
         """Write a message of any length.
 
         Args:
-            message: to write.
             timeout_s: maximum time without progress [s].
 
         Raises:
@@ -81,9 +79,6 @@ class FlightPipe:
     def close(self, timeout_s: float) -> bool:
         """Close the pipe and wait for the process to end; kill it after `timeout_s`.
 
-        Args:
-            timeout_s: maximum time to wait [s].
-
         Returns:
             True if the process ended without an error.
         """
@@ -102,10 +97,6 @@ class FlightPipe:
 
 
 def next_message(source: BinaryIO) -> bytes:
-    """Read the next message; empty at the end of the pipe.
-
-    Args:
-        source: standard input of the process.
-    """
+    """Read the next message; empty at the end of the pipe."""
     raw = source.read(_LENGTH.size)
     return source.read(_LENGTH.unpack(raw)[0]) if len(raw) == _LENGTH.size else b""

@@ -44,7 +44,6 @@ class TickSample(msgspec.Struct, gc=False):
     """Messages of one tick of the loop, in full precision.
 
     Attributes:
-        supervisor: state, reports of the vehicle and times of the loop.
         state: of the vehicle; None without one.
         safety: result of controller, filter and geofence; None in a tick without a set-point.
         replay: inputs and set-points of the native flight; None of other commanders.
@@ -149,11 +148,7 @@ class Recorder(Protocol):
     """Receiver of samples and messages; its methods never block and never raise."""
 
     def tick(self, sample: TickSample) -> None:
-        """Record a tick.
-
-        Args:
-            sample: of the tick.
-        """
+        """Record a tick."""
         ...
 
     def step(self, time_s: float, taken: Taken) -> None:
@@ -161,7 +156,6 @@ class Recorder(Protocol):
 
         Args:
             time_s: time since the start of the flight [s].
-            taken: the step.
         """
         ...
 
@@ -179,18 +173,12 @@ class Recorder(Protocol):
 
         Args:
             time_s: time since the start of the flight [s].
-            level: `INFO`, `WARNING` or `ERROR`.
-            words: the message.
         """
         ...
 
 
 def level_of(taken: Taken) -> int:
-    """Log level of a step of the supervisor: `INFO`, `WARNING` or `ERROR`.
-
-    Args:
-        taken: the step.
-    """
+    """Log level of a step of the supervisor: `INFO`, `WARNING` or `ERROR`."""
     is_fine = taken.event in _FINE or taken[:2] == (Phase.LAND, Event.DISARMED)
     return ERROR if taken.event in _BAD else INFO if is_fine else WARNING
 
@@ -210,12 +198,9 @@ def tick_sample(
     Args:
         times: time since the start of the flight, lateness, duration of the tick before, and age of the
             state [s].
-        phase: the supervisor's state.
         state: of the vehicle, world frame, if there is one.
-        status: of the vehicle.
         fence_m: distance to the fence [m], if it was computed.
         flown: the set-point, if there is one.
-        is_velocity: the commander filters velocities, else accelerations.
     """
     now_s, late_s, spent_s, age_s = times
     supervisor = Supervisor(

@@ -20,11 +20,8 @@ def open_served(option: str, port: int, code: str, head: bytes) -> tuple[FlightP
     The process listens on loopback only, and ends when the pipe is closed.
 
     Args:
-        option: that asks for the server, for errors.
-        port: to listen on.
         code: of the process: it reads `head` and all messages from its standard input, with `next_message`,
             and writes its port as a line to its standard output when it listens.
-        head: first message.
 
     Returns:
         The pipe to the process, and its port as text.

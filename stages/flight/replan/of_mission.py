@@ -31,9 +31,6 @@ def replan_facts(mission: PlannedFlight) -> ReplanFacts | None:
     keep from each map what the filter keeps from it; a map that it does not see counts with radius and
     margin. Without a margin there is no room to join a plan. New plans pass points and have one heading: a
     mission with gates, rests, zones or a heading that turns has none.
-
-    Args:
-        mission: of the flight.
     """
     config, radius = mission.config, mission.world.vehicle.body.radius_m
     if config.replan_after_s == 0 or config.filter == "none" or _has_more(mission.plan):
@@ -88,21 +85,13 @@ def _interface(mission: PlannedFlight) -> dict[str, str]:
 
 
 def maps_of(mission: PlannedFlight) -> dict[str, Artifact]:
-    """Maps of a flight by role.
-
-    Args:
-        mission: of the flight.
-    """
+    """Maps of a flight by role."""
     maps = {"cover": mission.cover, "scene": mission.world.static.scene, "within": mission.world.static.seen}
     return {role: each for role, each in maps.items() if each is not None}
 
 
 def make_planner(mission: PlannedFlight, paths: Mapping[str, Path]) -> PlannerProcess | None:
     """Start the process that makes new plans; None if no new plans are to be made.
-
-    Args:
-        mission: of the flight.
-        paths: files of the maps by role.
 
     Raises:
         InputError: the process does not run.
@@ -116,7 +105,6 @@ def make_replanner(mission: PlannedFlight, planner: Planner) -> Replanner:
 
     Args:
         mission: of the flight, for which there are `replan_facts`.
-        planner: makes the plans.
     """
     facts, config = replan_facts(mission), mission.config
     assert facts is not None

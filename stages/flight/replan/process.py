@@ -41,9 +41,6 @@ class Planner(Protocol):
     def ask(self, request: ReplanRequest) -> bool:
         """Ask for a plan.
 
-        Args:
-            request: what is asked for.
-
         Returns:
             True if the request is on its way.
         """
@@ -69,12 +66,6 @@ class _Head(msgspec.Struct, frozen=True, kw_only=True):
 
 class PlannerProcess:
     """`Planner` in a process of its own, which has read its maps when the constructor returns.
-
-    Args:
-        facts: of the flight.
-        vehicle: that flies.
-        artifacts: maps by role.
-        paths: their files by role.
 
     Raises:
         InputError: the process does not run, or its maps are not those of the flight.
@@ -130,11 +121,7 @@ class PlannerProcess:
         return self._pipe.process.pid
 
     def know(self, own: OwnSafety) -> None:
-        """Tell the vehicle's failsafes, which new plans must be safe with; before the flight.
-
-        Args:
-            own: failsafes and fence of the vehicle.
-        """
+        """Tell the vehicle's failsafes, which new plans must be safe with; before the flight."""
         with suppress(OSError):  # then it has ended, and the next answer says so
             self._pipe.put(b"o" + self._encode(own))
 

@@ -37,7 +37,6 @@ class ReplanOptions:
         most: maximum number of requests in a flight.
         join_m: maximum distance of the vehicle from a plan at which it is joined [m].
         margin_m: additional distance from the end at which a filter may stop the vehicle [m].
-        via_tolerance_m: distance within which a via point counts as passed [m].
     """
 
     after_s: float
@@ -49,12 +48,7 @@ class ReplanOptions:
 
 @dataclass(frozen=True, slots=True)
 class Joined:
-    """A plan that was joined in flight.
-
-    Attributes:
-        time_s: when, monotonic clock [s].
-        plan: of kind `alula/plan`.
-    """
+    """A plan that was joined in flight."""
 
     time_s: float
     plan: Artifact
@@ -86,10 +80,8 @@ class HeldUp:
         """Add a tick; True if the flight is held up.
 
         Args:
-            dt_s: duration of the tick [s].
             plan_s: time along the plan [s].
             error_m: distance of the vehicle from the reference [m].
-            is_changed: the filter has changed the command.
         """
         if not 0 <= plan_s - self._from_s <= _SLOW * self.after_s or error_m <= self.near_m:
             self.restart(plan_s)
@@ -112,13 +104,7 @@ class Replanner:
     of the vehicle. If there is no such plan the flight goes on along the one before.
 
     Args:
-        planner: makes plans beside the flight.
         via: via points of the flight, shape (V, 3) [m].
-        options: see `ReplanOptions`.
-
-    Attributes:
-        joined: plans that were joined, in their order.
-        asked: number of requests.
     """
 
     def __init__(self, planner: Planner, via: FloatArray, options: ReplanOptions) -> None:
@@ -144,13 +130,7 @@ class Replanner:
         """Look at a tick along the plan, after its set-point was sent; return a plan to continue with.
 
         Args:
-            now_s: monotonic clock [s].
-            dt_s: duration of a tick [s].
-            state: of the vehicle.
-            plan: time along the present plan.
-            decision: of the commander.
             home: position at take-off, shape (3,) [m].
-            say: logs a message of a level.
         """
         self._watch(state)
         is_changed = decision.status is not FilterStatus.OK

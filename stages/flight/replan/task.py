@@ -39,7 +39,6 @@ class ReplanRequest(msgspec.Struct, frozen=True, kw_only=True):
     """What a new plan is asked for.
 
     Attributes:
-        number: of the request.
         position: of the vehicle, world frame [m].
         velocity, acceleration: of the vehicle, world frame [m/s, m/s^2].
         via: via points that remain, in their order [m].
@@ -58,9 +57,7 @@ class ReplanAnswer(msgspec.Struct, frozen=True, kw_only=True):
     """A new plan, or why there is none.
 
     Attributes:
-        number: of the request.
         reason: why there is no plan, in words; empty if there is one.
-        planning_s: duration of the planning [s].
         manifest: of the plan, as JSON.
         arrays: of the plan: type, shape and bytes of each, by name.
     """
@@ -87,8 +84,6 @@ class KeptMap:
 
     Attributes:
         role: cover, scene or within, as of `plan`.
-        keep_m: distance to keep [m].
-        sigma: level of the ellipsoids of a scene.
     """
 
     role: str
@@ -103,14 +98,12 @@ class ReplanFacts:
     Attributes:
         parameters: of the plan before the flight, as its manifest records them: new plans are made alike.
         goal: end of all plans, world frame [m].
-        maps: to keep from.
         fence: box that the vehicle must not leave: lower corner, upper corner [m].
         fence_room_m: distance that plans keep from its sides [m].
         lowest_m: height of the lowest point of the plan before the flight [m]; new plans lead no lower, since
             the map need not contain the ground.
         join_m: maximum distance of the vehicle from a plan at which it can be joined [m].
         foot_m: last part of a way home, to leave out the ground [m].
-        speed_m_s: limit of the vehicle's speed [m/s].
     """
 
     parameters: Mapping[str, Any]
@@ -131,8 +124,6 @@ class ReplanTask:
     that was stopped at that distance may be a little nearer. Then the plan begins at the nearest free point.
 
     Args:
-        facts: of the flight.
-        vehicle: that flies.
         artifacts: maps by role, see `KeptMap`.
 
     Raises:
@@ -152,7 +143,6 @@ class ReplanTask:
         """Plan from a motion to the remaining via points and the goal.
 
         Args:
-            request: see `ReplanRequest`.
             own: failsafes and fence of the vehicle, which must be as harmless on this plan as on the first.
 
         Raises:
@@ -222,14 +212,7 @@ class ReplanTask:
 
 
 def answer_to(task: ReplanTask, request: ReplanRequest, own: OwnSafety | None, clock: Any) -> ReplanAnswer:
-    """Plan, and pack the plan or the reason why there is none.
-
-    Args:
-        task: of the flight.
-        request: to answer.
-        own: see `ReplanTask.plan`.
-        clock: returns monotonic time [s].
-    """
+    """Plan, and pack the plan or the reason why there is none."""
     before = clock()
     try:
         made = task.plan(request, own)
@@ -249,11 +232,7 @@ def answer_to(task: ReplanTask, request: ReplanRequest, own: OwnSafety | None, c
 
 
 def words_of(made: Artifact) -> str:
-    """A plan in words, for messages.
-
-    Args:
-        made: of kind `alula/plan`.
-    """
+    """A plan in words, for messages."""
     summary = made.manifest.summary
     via = len(made.manifest.via_m)  # type: ignore[attr-defined]
     through = "" if not via else f" through {via} via point{'s'[: via > 1]}"

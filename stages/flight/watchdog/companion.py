@@ -61,10 +61,7 @@ class Frames:
         settings: `system`, `component`, `vehicle`, `key` (None without) and `link`, its number.
 
     Attributes:
-        stamp: newest time stamp.
         mode: custom_mode of the vehicle's newest heartbeat; None before.
-        is_armed: whether it reports that it is armed.
-        is_refused: whether it has refused a mode.
     """
 
     def __init__(self, settings: dict[str, Any]) -> None:
@@ -88,13 +85,7 @@ class Frames:
         self.is_refused = False
 
     def pack(self, number: int, crc_extra: int, payload: bytes) -> bytes:
-        """Frame of a message.
-
-        Args:
-            number: of the message.
-            crc_extra: of its definition.
-            payload: its fields.
-        """
+        """Frame of a message."""
         flags = 0 if self._key is None else _SIGNED
         head = bytes((len(payload), flags, 0, self._sequence)) + self._source + number.to_bytes(3, "little")
         self._sequence = (self._sequence + 1) % 256
@@ -111,7 +102,6 @@ class Frames:
 
         Args:
             data: received bytes.
-            is_datagram: whether they are a whole datagram.
         """
         data = data if is_datagram else self._rest + data
         for magic in (_V1, _V2):
@@ -188,9 +178,6 @@ class Takeover:
             `land`, arguments of `Frames.pack`.
 
     Attributes:
-        frames: to and from the vehicle.
-        is_over: nothing is left to do.
-        words: lines to print; the caller removes them.
         began_s: when it took over; None before [s].
     """
 
@@ -342,7 +329,6 @@ class Process:
     """The process: a socket to the loop, a line to the vehicle, and the clock.
 
     Args:
-        loop: socket pair's end.
         memory: descriptor of the shared memory.
     """
 
@@ -368,11 +354,7 @@ class Process:
             self.step(now_s)
 
     def step(self, now_s: float) -> None:
-        """Process what the loop has sent, and do what is due.
-
-        Args:
-            now_s: monotonic clock [s].
-        """
+        """Process what the loop has sent, and do what is due."""
         self._wait(0.0)
         if (takeover := self._takeover) is None or takeover.is_over:
             return

@@ -35,9 +35,6 @@ class Watchdog:
     call. A socket pair carries the settings, the line (with its descriptor, again when it changes) and the
     farewell; its end tells each of the two that the other has ended.
 
-    Args:
-        ward: the link.
-
     Attributes:
         has_ended: the process is gone.
 
@@ -95,12 +92,7 @@ class Watchdog:
         return bool(self._memory[companion.TAKEN_AT])
 
     def beat(self, now_s: float, *, is_in_control: bool) -> None:
-        """Give a sign of life; never raises, never waits.
-
-        Args:
-            now_s: monotonic clock [s].
-            is_in_control: whether the vehicle depends on this program.
-        """
+        """Give a sign of life; never raises, never waits."""
         self._beats, self._is_in_control = self._beats + 1, is_in_control
         number, reported = self._beats, self._ward.reported()
         companion.BEAT.pack_into(self._memory, 0, number, now_s, is_in_control, *reported, number)
@@ -143,9 +135,6 @@ def is_possible() -> bool:
 
 def guard(link: Link) -> Watchdog | None:
     """Start the watchdog of a link, after `prepare`; None where the link has none or none is possible.
-
-    Args:
-        link: to the vehicle, opened and prepared.
 
     Raises:
         LinkError: the process does not start.

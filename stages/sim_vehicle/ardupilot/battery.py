@@ -28,8 +28,6 @@ class Battery:
         parameters: capacity and thresholds, read at every use.
 
     Attributes:
-        used_mah: charge used so far [mAh].
-        current_a: present current [A].
         charge: level; it never improves.
     """
 
@@ -58,7 +56,6 @@ class Battery:
         """Discharge the battery for a while and update its level.
 
         Args:
-            duration_s: the time [s].
             hover_fraction: throttle relative to the hover throttle.
 
         Returns:

@@ -24,7 +24,6 @@ class Command:
     """A COMMAND_LONG or COMMAND_INT.
 
     Attributes:
-        number: MAV_CMD.
         params: the seven parameters; 5 and 6 may be degrees.
         frame: MAV_FRAME of a COMMAND_INT, else None.
     """
@@ -44,12 +43,7 @@ def command_of(message: Message) -> Command:
 
 
 class Commands:
-    """Executes commands; each returns a MAV_RESULT and may add messages to send.
-
-    Args:
-        copter: the vehicle.
-        telemetry: its messages.
-    """
+    """Executes commands; each returns a MAV_RESULT and may add messages to send."""
 
     REFUSED: ClassVar[int] = _FAILED  # result of a command that is possible in another state
     UNKNOWN: ClassVar[int] = _DENIED  # result of asking for the interval of an unknown message

@@ -44,25 +44,17 @@ class Copter:
     replaces it; the autopilot then uses the given value, but the rotors do not change.
 
     Args:
-        vehicle: a quadrotor.
         parameters: values by name that replace the defaults.
-        options: errors of the estimate.
         home: latitude, longitude [deg] and altitude [m] of the start; by default that of the firmware's own
             simulation.
         heading_rad: initial heading, clockwise from north [rad].
-        seed: seed of all random numbers.
         hand: hand that moves the vehicle while it is disarmed; None for none.
         terrain: what it can stand on; None for a flat floor.
 
     Attributes:
-        airframe, attitude, pilot, battery, estimator, flying, parameters: its parts.
         hover_throttle: true hover throttle, weight over full thrust.
-        mode: the present mode.
-        is_armed: whether it is armed.
-        is_landed: whether it has detected a landing.
         failsafe: name of the last failsafe that triggered, whether it acts or not; empty without one.
         texts: STATUSTEXTs to send, severity and text.
-        time_s: time since boot [s].
 
     Raises:
         UsageError: the vehicle is not a quadrotor, or a parameter is unknown.
@@ -145,7 +137,6 @@ class Copter:
 
         Args:
             severity: MAV_SEVERITY.
-            text: the text.
         """
         self.texts.append((severity, text))
 

@@ -23,8 +23,6 @@ class Dialogue:
     Messages for another system or component, and unknown messages, are ignored.
 
     Args:
-        copter: the vehicle.
-        telemetry: its messages.
         codec: encoder of the channel, for signing and the system id.
         time_10us: present time for signatures, in units of 10 us since 2015.
     """

@@ -84,10 +84,7 @@ class Estimator:
 
     Args:
         parameters: the sources, read at every tick.
-        options: errors.
-        start: motion at boot.
         home: latitude, longitude [deg] and altitude [m] of the start.
-        seed: seed of the noise.
 
     Attributes:
         offset: fault: offset of the position estimate, NED [m].
@@ -96,8 +93,6 @@ class Estimator:
         are_satellites_lost: fault: the receiver has no fix.
         fix_s: time since boot of the newest fix of satellites [s]; None before the first.
         origin: latitude, longitude [deg] and altitude [m] of the local frame; None before it is set.
-        motion: the present estimate.
-        is_settled: whether the estimate has settled on its sources.
     """
 
     def __init__(
@@ -202,7 +197,6 @@ class Estimator:
 
         Args:
             position: NED [m].
-            yaw_rad: heading [rad].
         """
         if self.is_mocap_lost or not self.uses_mocap:
             return
@@ -246,7 +240,6 @@ class Estimator:
 
         Args:
             truth: measured motion, with the sensor noise of the vehicle file.
-            is_still: whether the vehicle stands still on the ground.
         """
         self._time_s += TICK_S
         noise = self._next_noise()

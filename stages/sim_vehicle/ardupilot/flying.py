@@ -33,15 +33,9 @@ class Flying:
     """Controllers of all modes.
 
     Args:
-        attitude: the inner loop.
-        position: the outer loops.
         parameters: parameters, read at every tick.
-        pilot: the remote control.
 
     Attributes:
-        position: the outer loops.
-        guided: the mode GUIDED.
-        has_position: whether the estimated position is good enough to fly.
         home: home position, NED [m].
     """
 
@@ -106,13 +100,7 @@ class Flying:
         )
 
     def run(self, mode: Mode, motion: Motion, now_s: float) -> None:
-        """Run one tick in flight.
-
-        Args:
-            mode: the mode.
-            motion: estimated motion.
-            now_s: time since boot [s].
-        """
+        """Run one tick in flight."""
         self._rows[mode](motion, now_s)
 
     def _stabilize(self, motion: Motion, now_s: float) -> None:

@@ -43,12 +43,9 @@ class Guided:
     set-point stays in force.
 
     Args:
-        attitude: the inner loop.
-        position: the outer loops.
         parameters: parameters, read at every tick.
 
     Attributes:
-        sub: the present sub-mode.
         needs_position: True for GUIDED, False for GUIDED_NOGPS, which follows attitudes only.
         rejected: number of set-points that re-initialised the mode.
         speed_m_s: speed from MAV_CMD_DO_CHANGE_SPEED [m/s]; None for the default.
@@ -87,7 +84,6 @@ class Guided:
         """Climb straight up.
 
         Args:
-            motion: estimated motion.
             height_m: height above the local origin [m].
         """
         self._position.reset(motion)
@@ -98,7 +94,6 @@ class Guided:
         """Fly to a point with shaped speeds, and stay there.
 
         Args:
-            motion: estimated motion.
             point: NED [m].
         """
         if self.sub is not Sub.POINT:
@@ -137,12 +132,7 @@ class Guided:
                 return self._velocity[2] < 0 or self._acceleration[2] < 0
 
     def attitude_target(self, message: Message, motion: Motion) -> None:
-        """Process a SET_ATTITUDE_TARGET.
-
-        Args:
-            message: the message.
-            motion: estimated motion.
-        """
+        """Process a SET_ATTITUDE_TARGET."""
         mask = message.type_mask
         rates = mask & _RATE_BITS
         quat: Quat | None = None
@@ -170,12 +160,7 @@ class Guided:
         return None
 
     def position_target(self, message: Message, motion: Motion) -> None:
-        """Process a SET_POSITION_TARGET_LOCAL_NED; GUIDED_NOGPS ignores it.
-
-        Args:
-            message: the message.
-            motion: estimated motion.
-        """
+        """Process a SET_POSITION_TARGET_LOCAL_NED; GUIDED_NOGPS ignores it."""
         if not self.needs_position:
             return None
         mask, frame = message.type_mask, message.coordinate_frame

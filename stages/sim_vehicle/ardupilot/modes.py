@@ -26,7 +26,6 @@ class ModeRow:
     Attributes:
         needs_position: without a position estimate it cannot be entered while armed nor armed in, and losing
             it triggers a failsafe.
-        can_arm: arming is allowed.
         takes_setpoints: it follows SET_ATTITUDE_TARGET and SET_POSITION_TARGET_LOCAL_NED.
         is_piloted: sticks control it, so it needs a remote control.
     """

@@ -253,10 +253,6 @@ class Parameters:
     def set(self, name: str, value: float) -> bool:
         """Set a parameter; integers are rounded and clipped to their range.
 
-        Args:
-            name: its name.
-            value: the new value.
-
         Returns:
             False if the name is unknown or the value is not finite.
         """

@@ -43,8 +43,6 @@ class Pid:
         """Compute the output of one tick.
 
         Args:
-            target: the target.
-            measured: the measured value.
             held: the actuator is at its limit, so the integral must not grow.
         """
         if self._revision != self._parameters.revision:

@@ -49,7 +49,6 @@ class Pilot:
 
         Args:
             values: pulse widths of the channels [us]; 0 and 65535 are not overrides.
-            now_s: time since boot [s].
         """
         until_s = now_s + self._parameters["RC_OVERRIDE_TIME"]
         for index, value in enumerate(values[:CHANNELS]):
@@ -77,7 +76,6 @@ class Pilot:
 
         Args:
             name: ROLL, PITCH, THROTTLE or YAW, as in RCMAP_*.
-            now_s: time since boot [s].
         """
         channel = max(1, min(CHANNELS, self._parameters.whole(f"RCMAP_{name}")))
         value = self.channels(now_s)[channel - 1] - CENTRE

@@ -38,13 +38,8 @@ class PositionControl:
     (PSC_ACCZ_*) follows the acceleration by the throttle, which passes a low-pass of 2 Hz.
 
     Args:
-        attitude: the inner loop.
         parameters: gains and limits, read at every tick.
         gravity: g [m/s^2].
-
-    Attributes:
-        yaw: commanded heading [rad].
-        yaw_rate: commanded yaw rate [rad/s].
     """
 
     def __init__(self, attitude: AttitudeControl, parameters: Parameters, gravity: float) -> None:
@@ -120,7 +115,6 @@ class PositionControl:
         """Command the throttle for a vertical velocity and acceleration.
 
         Args:
-            motion: estimated motion.
             down_m_s: velocity, downward [m/s].
             down_m_s2: acceleration, downward [m/s^2].
         """
@@ -148,7 +142,6 @@ class PositionControl:
         """Command lean angles for a horizontal velocity.
 
         Args:
-            motion: estimated motion.
             velocity: north and east [m/s].
             ahead: acceleration added to it, north and east [m/s^2].
         """
@@ -160,9 +153,7 @@ class PositionControl:
         """Command lean angles for a horizontal position.
 
         Args:
-            motion: estimated motion.
             position: north and east [m].
-            max_m_s: maximum speed [m/s].
         """
         zero = (0.0, 0.0)
         self._advance_level()
@@ -175,7 +166,6 @@ class PositionControl:
         """Follow a stream of set-points.
 
         Args:
-            motion: estimated motion.
             position: NED [m]; None if the set-point has none.
             velocity: NED [m/s].
             ahead: acceleration, NED [m/s^2].

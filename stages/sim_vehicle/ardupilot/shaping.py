@@ -18,7 +18,6 @@ def square_root(error: float, gain: float, limit: float) -> float:
     continues it with a continuous slope.
 
     Args:
-        error: the error.
         gain: proportional gain of small errors [1/s].
         limit: bound of the rate's derivative; not positive for none.
     """
@@ -50,11 +49,6 @@ class LevelProfile:
 
     In each tick it first moves on with its acceleration. Then the acceleration turns towards the command, its
     change bounded by the jerk.
-
-    Attributes:
-        position: [m].
-        velocity: [m/s].
-        acceleration: [m/s^2].
     """
 
     def __init__(self) -> None:
@@ -140,13 +134,7 @@ class LevelProfile:
 
 
 class VerticalProfile:
-    """Shaped vertical motion, as the `LevelProfile` along one axis: down.
-
-    Attributes:
-        position: [m].
-        velocity: [m/s].
-        acceleration: [m/s^2].
-    """
+    """Shaped vertical motion, as the `LevelProfile` along one axis: down."""
 
     def __init__(self) -> None:
         self.position = 0.0

@@ -56,11 +56,7 @@ class Telemetry:
     A message without valid content is not sent: no position before there is an estimate.
 
     Args:
-        copter: the vehicle.
         epoch_s: Unix time at boot [s]; 0 if unknown.
-
-    Attributes:
-        ids: names of the messages by number.
     """
 
     STREAMS: ClassVar[Mapping[int, tuple[str, tuple[str, ...]]]] = STREAMS
@@ -104,7 +100,6 @@ class Telemetry:
         """Set the interval of a message.
 
         Args:
-            name: its name.
             interval_s: the interval [s]; None stops it.
         """
         self._due = [(when, other) for when, other in self._due if other != name]

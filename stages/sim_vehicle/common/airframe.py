@@ -51,7 +51,6 @@ class Terrain:
     """Ground of a map in the north-east-down frame of a start.
 
     Args:
-        ground: of the map.
         start: where the vehicle stands at first, in the map, east-north-up [m].
     """
 
@@ -77,15 +76,11 @@ class Airframe:
 
     Args:
         vehicle: a quadrotor; its disturbances act.
-        seed: seed of noise and gusts.
         heading_rad: initial heading, clockwise from north [rad].
         terrain: what it can stand on and where it stands at first; None for a flat floor.
 
     Attributes:
-        truth: true motion.
         sensed: motion with the sensor noise and delay of the vehicle file.
-        on_ground: whether it stands on the ground.
-        touchdown_m_s: largest speed of a touch-down [m/s].
         is_lying: whether it lies on its side or back.
         are_rotors_dead: fault: the rotors give no thrust.
 
@@ -170,7 +165,6 @@ class Airframe:
         """Simulate one tick; when rotors saturate, roll and pitch have priority over thrust and yaw.
 
         Args:
-            thrust_n: thrust [N].
             torque: torque in FRD [N m].
         """
         if self.on_ground and not (thrust_n or any(torque)):

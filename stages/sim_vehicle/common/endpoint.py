@@ -45,10 +45,6 @@ class Endpoint(Protocol):
 def open_endpoint(link: str, *, allow_remote: bool = False) -> Endpoint:
     """Open `udpout:HOST:PORT`, `udpin:HOST:PORT` or `tcpin:HOST:PORT`.
 
-    Args:
-        link: the address.
-        allow_remote: allow addresses of other machines.
-
     Raises:
         UsageError: the address has another form, or is on another machine without permission.
         LinkError: it cannot be opened.
@@ -76,7 +72,6 @@ def open_mocap(address: str, *, allow_remote: bool = False) -> Endpoint:
 
     Args:
         address: `udp:HOST:PORT`.
-        allow_remote: allow addresses of other machines.
     """
     scheme, _, place = address.partition(":")
     if scheme != "udp":
@@ -223,8 +218,6 @@ def serve(
     """Run a vehicle in real time.
 
     Args:
-        vehicle: the vehicle.
-        endpoint: its link.
         mocap: where its motion capture is sent; None for none.
         duration_s: simulated time after which it stops [s]; None for no limit.
         stop: polled in every period; True stops it.

@@ -40,7 +40,6 @@ class Fault:
     """An injected fault.
 
     Attributes:
-        kind: one of `KINDS`.
         start: when it begins, after `since` [s].
         duration: how long it lasts [s].
         probability: probability for each packet; for a fault of the vehicle itself, that it occurs at all.
@@ -86,7 +85,6 @@ def parse_fault(text: str, modes: Mapping[str, int] = MappingProxyType({})) -> F
     """Parse a fault written as `kind` or `kind:key=value,key=value`.
 
     Args:
-        text: the fault.
         modes: positions of the mode switch by name, for the kind `mode`.
 
     Raises:
@@ -112,11 +110,7 @@ def parse_fault(text: str, modes: Mapping[str, int] = MappingProxyType({})) -> F
 
 
 class Schedule:
-    """The faults of one vehicle and their timing.
-
-    Args:
-        faults: the faults.
-    """
+    """The faults of one vehicle and their timing."""
 
     def __init__(self, faults: tuple[Fault, ...] = ()) -> None:
         self._faults = list(faults)
@@ -130,12 +124,7 @@ class Schedule:
         self._faults.append(fault)
 
     def mark(self, event: Since, now_s: float) -> None:
-        """Record an event that faults wait for; only its first occurrence counts.
-
-        Args:
-            event: the event.
-            now_s: time since boot [s].
-        """
+        """Record an event that faults wait for; only its first occurrence counts."""
         self._began.setdefault(event, now_s)
 
     def acting(self, now_s: float) -> list[Fault]:

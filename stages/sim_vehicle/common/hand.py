@@ -34,9 +34,7 @@ class Hand:
         """Wait for a client and for a valid estimate of the vehicle.
 
         Args:
-            time_s: time since boot [s].
             client_s: time of the last heartbeat of a client; None before the first [s].
-            is_ready: whether the vehicle has a position estimate.
         """
         if client_s is None:
             return
@@ -51,9 +49,6 @@ class Hand:
 
         Each move covers the fraction s - sin(2 pi s) / (2 pi) of its distance at the fraction s of its time,
         so it begins and ends at rest.
-
-        Args:
-            time_s: time since boot [s].
 
         Returns:
             The motion; None while the hand does not hold the vehicle.

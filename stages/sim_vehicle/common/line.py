@@ -18,13 +18,7 @@ _Heap = list[tuple[float, int, Any]]
 
 
 class Line:
-    """Converter between messages and packets that applies faults and keeps delayed packets.
-
-    Args:
-        codec: encoder and decoder of packets.
-        schedule: the faults.
-        seed: seed of the choice of affected packets.
-    """
+    """Converter between messages and packets that applies faults and keeps delayed packets."""
 
     def __init__(self, codec: Codec, schedule: Schedule, seed: int) -> None:
         self.codec = codec

@@ -20,13 +20,9 @@ class Codec:
     does; any other channel then accepts only signed ones.
 
     Args:
-        system: system id of the vehicle.
         channel: number of the serial port; 0 is the console.
         key: 32 bytes shared with the other side, or None.
         time_10us: present time for signatures, in units of 10 us since 2015.
-
-    Attributes:
-        bad_packets: number of damaged and refused packets.
     """
 
     def __init__(
@@ -82,7 +78,6 @@ class Codec:
         """Packet of a message.
 
         Args:
-            message: the message.
             system: system id in the packet; None for that of the vehicle.
         """
         own = self._mav.srcSystem

@@ -23,9 +23,7 @@ class Estimator:
     With `needs_poses` the position drifts and its variance grows while no poses arrive.
 
     Args:
-        body: the body.
         needs_poses: whether the estimate drifts without poses.
-        seed: seed of the direction of the drift.
 
     Attributes:
         variance: variance of each axis of the position [m^2].
@@ -78,7 +76,6 @@ class Estimator:
 
         Args:
             position: shape (3,) [m].
-            yaw_rad: heading [rad].
         """
         if not (np.isfinite(position).all() and math.isfinite(yaw_rad)):
             return

@@ -33,7 +33,6 @@ class Goal:
         position: shape (3,) [m].
         velocity: shape (3,) [m/s].
         acceleration: shape (3,) [m/s^2].
-        yaw_rad: heading [rad].
     """
 
     position: FloatArray
@@ -55,11 +54,7 @@ _FROM_ENDS = np.linalg.inv(np.concatenate([_ends(0.0), _ends(1.0)]))
 
 
 class Planner:
-    """Planner of polynomials of degree 7 from the present motion to rest at a goal, without jerk at the ends.
-
-    Attributes:
-        plan: state of the commander.
-    """
+    """Plans polynomials of degree 7 from the present motion to rest at a goal, without jerk at the ends."""
 
     def __init__(self) -> None:
         self.plan = Plan.IDLE
@@ -68,11 +63,6 @@ class Planner:
 
     def receive(self, data: bytes, here: Goal, now_s: float) -> int:
         """Execute a command.
-
-        Args:
-            data: the packet.
-            here: present motion of the vehicle.
-            now_s: time since boot [s].
 
         Returns:
             0, or an error number.

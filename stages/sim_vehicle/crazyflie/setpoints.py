@@ -40,7 +40,6 @@ class Setpoint:
         attitude_wxyz: unit quaternion.
         omega: body rates, forward-left-up, towards which the firmware damps [rad/s].
         yaw_rad: heading to hold [rad]; None to turn by `yaw_rate_rad_s`.
-        yaw_rate_rad_s: yaw rate [rad/s].
     """
 
     kind: str = "off"
@@ -96,8 +95,6 @@ def acceleration(
     the thrust in it, which is zero. While the vehicle levels out only the height is controlled.
 
     Args:
-        setpoint: the set-point.
-        controller: value of `stabilizer.controller`.
         position: estimated position, shape (3,) [m].
         velocity: estimated velocity, shape (3,) [m/s].
         levels_out: whether the vehicle levels out because set-points are missing.

@@ -37,8 +37,6 @@ class Supervisor:
         arms_itself: whether it arms without a request.
 
     Attributes:
-        stage: the present stage.
-        is_armed: whether it is armed.
         tumbled: whether it lies upside down or crashed; set by the caller.
         texts: texts for the console; the reader removes them.
     """
@@ -84,9 +82,7 @@ class Supervisor:
         """Update the stage.
 
         Args:
-            now_s: time since boot [s].
             setpoint_s: time of the last set-point [s].
-            is_pushing: whether the motors run.
         """
         if is_pushing:
             self._thrust_s = now_s
@@ -109,12 +105,7 @@ class Supervisor:
             self.texts.append("SUP: Locked, reboot required\n")
 
     def bits(self, plans: bool, finished: bool) -> int:
-        """Bits of the log variable `supervisor.info`.
-
-        Args:
-            plans: whether the high-level commander executes a plan.
-            finished: whether its plan is finished.
-        """
+        """Bits of the log variable `supervisor.info`."""
         found = {
             _CAN_BE_ARMED: self.stage is Stage.CHECKED,
             _IS_ARMED: self.is_armed,

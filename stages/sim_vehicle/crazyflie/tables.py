@@ -46,7 +46,6 @@ class ParameterTable:
         values: by name, as `group.name`: `struct` format and initial value.
 
     Attributes:
-        values: present values by name.
         written: names that were written; the reader removes them.
     """
 
@@ -82,10 +81,6 @@ class ParameterTable:
 
     def set(self, name: str, value: float) -> None:
         """Write a parameter.
-
-        Args:
-            name: its name.
-            value: the new value.
 
         Raises:
             KeyError: there is no such parameter.
@@ -145,7 +140,6 @@ class LogTable:
         Args:
             channel: CRTP channel.
             data: the packet without its header.
-            now_ms: time since boot [ms].
         """
         if not data:
             return []

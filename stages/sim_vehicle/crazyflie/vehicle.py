@@ -54,13 +54,11 @@ class CrazyflieOptions:
 
     Attributes:
         start: initial position in its own frame [m]; its height is that of the floor.
-        yaw_rad: initial heading [rad].
         arms_itself: whether it arms by itself, as a Crazyflie 2.1 does; a Bolt or a brushless one waits for a
             request.
         needs_poses: whether its estimate drifts without external poses.
         has_app: whether it has the parameters and logs of the out-of-tree app, whose filter is not simulated.
         flight_s: flight time until the battery is empty [s].
-        seed: seed of noise and drift.
     """
 
     start: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -77,14 +75,10 @@ class SimulatedCrazyflie:
 
     Args:
         vehicle: a quadrotor; its disturbances act.
-        options: see `CrazyflieOptions`.
 
     Attributes:
-        body: the true body.
         setpoint: the set-point that is followed, or was last.
         setpoints: number of set-points received by radio.
-        time_s: time since boot [s].
-        supervisor, planner, estimator, parameters, logs: its parts.
     """
 
     def __init__(self, vehicle: Vehicle, options: CrazyflieOptions | None = None) -> None:
@@ -109,9 +103,6 @@ class SimulatedCrazyflie:
 
     def set_parameters(self, values: Mapping[str, float]) -> None:
         """Set parameters at boot.
-
-        Args:
-            values: values by name.
 
         Raises:
             UsageError: there is no such parameter, or its type cannot hold the value.
@@ -144,9 +135,6 @@ class SimulatedCrazyflie:
 
     def advance(self, to_s: float) -> list[bytes]:
         """Simulate up to a time since boot.
-
-        Args:
-            to_s: the time [s].
 
         Returns:
             The packets to send, each in a datagram of its own.

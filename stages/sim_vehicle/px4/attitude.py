@@ -36,12 +36,6 @@ class Px4AttitudeControl(AttitudeControl):
         parameters: gains, read at every tick.
         rate_time_s: time constant of the rate loop [s].
         motor_time_s: lag of the rotors in the plant itself [s].
-
-    Attributes:
-        target: attitude target, unit quaternion w, x, y, z, NED from FRD.
-        rates: its body rates, FRD [rad/s].
-        throttle: throttle of the rotors, 0 to 1.
-        throttle_command: commanded throttle, 0 to 1.
     """
 
     def __init__(
@@ -65,7 +59,6 @@ class Px4AttitudeControl(AttitudeControl):
         Args:
             attitude: commanded attitude, unit quaternion w, x, y, z, NED from FRD.
             omega: commanded body rates on top, FRD [rad/s].
-            slews: not used.
         """
         time_s = max(self._parameters["ATC_INPUT_TC"], 2 * TICK_S) / 2
         error = to_vector(relative(self.target, attitude))
@@ -77,7 +70,6 @@ class Px4AttitudeControl(AttitudeControl):
         Args:
             throttle: 0 to 1.
             boosted: divide it by the cosine of the target's tilt, unless ATC_ANGLE_BOOST is 0.
-            cutoff_hz: not used.
         """
         if boosted and self._parameters.whole("ATC_ANGLE_BOOST"):
             cosine = cos_tilt(self.target)

@@ -31,10 +31,8 @@ class Px4Row:
     """Properties of a mode.
 
     Attributes:
-        name: name in texts.
         flown: mode of ArduPilot with the controller in `Flying` that it uses.
         needs_position: it is not entered without a position estimate.
-        can_arm: arming is allowed.
         is_piloted: sticks control it.
     """
 

@@ -21,13 +21,8 @@ class Px4PositionControl(PositionControl):
     """Cascades of position (P), velocity (PI) and acceleration, which gives lean angles and throttle.
 
     Args:
-        attitude: the inner loop.
         parameters: gains and limits, read at every tick.
         gravity: g [m/s^2].
-
-    Attributes:
-        yaw: commanded heading [rad].
-        yaw_rate: commanded yaw rate [rad/s].
     """
 
     def __init__(self, attitude: AttitudeControl, parameters: Parameters, gravity: float) -> None:
@@ -71,7 +66,6 @@ class Px4PositionControl(PositionControl):
         """Command the throttle for a climb rate, reached with WPNAV_ACCEL_Z.
 
         Args:
-            motion: estimated motion.
             climb_m_s: climb rate, upward [m/s].
         """
         limit = max(self._parameters["WPNAV_ACCEL_Z"], 1.0) / 100
@@ -86,7 +80,6 @@ class Px4PositionControl(PositionControl):
         """Command the throttle for a vertical velocity and acceleration without shaping.
 
         Args:
-            motion: estimated motion.
             down_m_s: velocity, downward [m/s].
             down_m_s2: acceleration, downward [m/s^2].
         """
@@ -97,7 +90,6 @@ class Px4PositionControl(PositionControl):
         """Command the throttle for a height.
 
         Args:
-            motion: estimated motion.
             down_m: height as the NED coordinate [m].
         """
         error = motion.position[2] - down_m
@@ -111,7 +103,6 @@ class Px4PositionControl(PositionControl):
         """Command lean angles for a horizontal velocity, reached with WPNAV_ACCEL.
 
         Args:
-            motion: estimated motion.
             velocity: north and east [m/s].
             ahead: acceleration added to it, north and east [m/s^2].
         """
@@ -142,9 +133,7 @@ class Px4PositionControl(PositionControl):
         """Command lean angles for a horizontal position.
 
         Args:
-            motion: estimated motion.
             position: north and east [m].
-            max_m_s: maximum speed [m/s].
         """
         dx, dy = position[0] - motion.position[0], position[1] - motion.position[1]
         distance = math.hypot(dx, dy)
@@ -159,7 +148,6 @@ class Px4PositionControl(PositionControl):
         """Follow a stream of set-points without shaping them.
 
         Args:
-            motion: estimated motion.
             position: NED [m]; None if the set-point has none.
             velocity: NED [m/s].
             ahead: acceleration, NED [m/s^2].
@@ -189,7 +177,6 @@ class Px4PositionControl(PositionControl):
         """Command lean angles for a horizontal acceleration, at most ANGLE_MAX, and turn with the yaw rate.
 
         Args:
-            motion: estimated motion.
             north_m_s2: acceleration to the north [m/s^2].
             east_m_s2: acceleration to the east [m/s^2].
         """

@@ -82,10 +82,6 @@ class Px4Copter(Copter):
     It keeps two modes: the chosen one and the one that is flown. They differ while a failsafe acts. When the
     cause is gone the vehicle returns to the chosen mode **by itself**, also to Offboard. Choosing a mode
     meanwhile ends the failsafe until another cause appears.
-
-    Attributes:
-        chosen: the chosen mode.
-        flown: the mode that is flown.
     """
 
     AUTOPILOT: ClassVar[str] = "px4"

@@ -25,10 +25,7 @@ class AddressOptions:
     """Options in the address of a Crazyflie.
 
     Attributes:
-        controller: value of `stabilizer.controller`.
         kind: set-points that this controller follows.
-        parameters: other parameters to set, by name.
-        has_watchdog: whether to send the notices of the emergency watchdog.
     """
 
     controller: int

@@ -45,10 +45,6 @@ _RESTORE_S = 3.0
 def make_link(address: Address, options: LinkOptions) -> CrazyflieLink:
     """Make the link for an address.
 
-    Args:
-        address: the parsed address.
-        options: options of the link.
-
     Raises:
         UsageError: an option is unknown or has an invalid value.
     """
@@ -63,10 +59,6 @@ class CrazyflieLink:
     `watchdog=1` the notices of the emergency watchdog. After 0.3 s without a set-point it commands the
     vehicle's own high-level commander to hold the position. It changes the parameters of
     `crazyflie.parameters` and those named in the address; `close` restores them on the ground.
-
-    Args:
-        address: the parsed address.
-        options: options of the link.
     """
 
     def __init__(self, address: Address, options: LinkOptions) -> None:
@@ -162,9 +154,6 @@ class CrazyflieLink:
 
         It may block: do not call it in flight.
 
-        Args:
-            values: values by name.
-
         Raises:
             LinkError: the vehicle does not have or accept one, or the app rejects the combination.
         """
@@ -232,8 +221,6 @@ class CrazyflieLink:
         NOTHING makes a vehicle that follows set-points hover by itself: without set-points it would fall.
 
         Args:
-            order: the command.
-            now_s: monotonic clock [s].
             height_m: take-off height above the present position [m].
 
         Raises:

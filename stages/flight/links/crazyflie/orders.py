@@ -34,7 +34,6 @@ class Motion:
     Attributes:
         position: shape (3,) [m].
         velocity: shape (3,) [m/s].
-        yaw_rad: heading [rad].
         floor_m: height at which it stood last, or 0 [m].
     """
 
@@ -62,7 +61,6 @@ class Orders:
     """The one pending command; a new one replaces it.
 
     Args:
-        session: the connection to the vehicle.
         status: the status to update; `armed`, `landed`, `mode`, `obeys` and `is_failsafe` follow from the
             supervisor's bits.
 
@@ -94,8 +92,6 @@ class Orders:
         """Start a command.
 
         Args:
-            order: the command.
-            now_s: monotonic clock [s].
             height_m: take-off height above the present position [m].
             motion: the vehicle's motion; None if unknown.
 

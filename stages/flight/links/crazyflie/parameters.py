@@ -27,8 +27,6 @@ class Parameters:
     """Temporary changes to parameters.
 
     Args:
-        session: the connection to the vehicle.
-        controller: required value of `stabilizer.controller`.
         named: values of other parameters from the address, by name.
     """
 
@@ -57,9 +55,6 @@ class Parameters:
 
     def set(self, values: Mapping[str, float]) -> list[str]:
         """Set parameters; a line for each change.
-
-        Args:
-            values: values by name.
 
         Raises:
             LinkError: the vehicle does not have or accept one.

@@ -35,10 +35,6 @@ class Session:
     A thread sends all packets, because cflib blocks while the radio is lost. Of waiting set-points and poses
     it sends only the newest. cflib's thread stores what it receives in attributes.
 
-    Args:
-        uri: address of the vehicle for cflib.
-        options: options of the link.
-
     Attributes:
         heard_s: when the last packet arrived, monotonic clock [s].
         lost: why the connection ended; None while it holds.
@@ -70,9 +66,6 @@ class Session:
 
     def open(self, timeout_s: float) -> None:
         """Connect, and read all tables and parameters.
-
-        Args:
-            timeout_s: maximum time [s].
 
         Raises:
             LinkError: no vehicle answers.
@@ -132,8 +125,6 @@ class Session:
 
         Args:
             name: `group.name`.
-            value: the new value.
-            timeout_s: maximum time [s].
             keeps: whether the parameter keeps its value; if not, it is not read again.
         """
         end_s = self.options.clock() + timeout_s
@@ -166,9 +157,6 @@ class Session:
         """Start a log block.
 
         Args:
-            name: name of the block.
-            period_s: time between two blocks [s].
-            variables: names of the log variables.
             take: called in cflib's thread with the vehicle's clock [ms] and the values.
 
         Raises:
@@ -191,12 +179,7 @@ class Session:
         self._queue.put(lambda: send(self._vehicle))
 
     def post_newest(self, what: str, send: Callable[[Any], None]) -> None:
-        """Queue a call like `post`; it replaces a waiting one of the same kind, which would be stale.
-
-        Args:
-            what: the kind.
-            send: the call.
-        """
+        """Queue a call like `post`; it replaces a waiting one of the same kind, which would be stale."""
         self._newest[what] = send
         if what not in self._waiting:
             self._waiting.add(what)
@@ -217,11 +200,7 @@ class Session:
             self.post(lambda vehicle: _send_raw(vehicle, _LOCALIZATION, 1, bytes([_WATCHDOG])))
 
     def request_echo(self, now_s: float) -> None:
-        """Send a request that the vehicle's firmware returns unchanged.
-
-        Args:
-            now_s: monotonic clock [s].
-        """
+        """Send a request that the vehicle's firmware returns unchanged."""
         self._echo = (self._echo + 1) & 0xFFFFFFFF
         self._echoes[self._echo] = now_s
         if len(self._echoes) > 64:
@@ -233,9 +212,6 @@ class Session:
         """Minimum round trip of the echo requests of the last 5 s [s]; NaN if none was answered.
 
         The fastest state took at most that long, because the answer came the same way.
-
-        Args:
-            now_s: monotonic clock [s].
         """
         return min(
             (trip_s for sent_s, trip_s in list(self.round_trips) if now_s - sent_s <= _ROUND_TRIPS_S),

@@ -62,8 +62,6 @@ class SetpointEncoder:
 
     Args:
         frame: the world frame relative to the vehicle's local frame.
-        limits: limits of set-points.
-        gravity_m_s2: g [m/s^2].
 
     Attributes:
         clipped: number of set-points that were changed by a limit.
@@ -77,10 +75,6 @@ class SetpointEncoder:
 
     def full_state(self, setpoint: AccelerationSetpoint, now_s: float) -> FullState:
         """Full state of an acceleration set-point.
-
-        Args:
-            setpoint: the set-point.
-            now_s: monotonic clock [s].
 
         Raises:
             LinkError: a field is not finite, far out of range, or beyond 16 bits of thousandths.
@@ -112,9 +106,7 @@ class SetpointEncoder:
         """Velocity in the vehicle's frame [m/s], and the yaw rate towards the heading [degrees/s].
 
         Args:
-            setpoint: the set-point.
             yaw_now_rad: present heading, world frame [rad].
-            now_s: monotonic clock [s].
 
         Raises:
             LinkError: a field is not finite or far out of range.

@@ -41,7 +41,6 @@ def ardupilot_safety(values: Mapping[str, float], *, flies_rates: bool = False) 
     """Failsafes and fence of a Copter.
 
     Args:
-        values: of those of `ARDUPILOT_SAFETY` that the vehicle has.
         flies_rates: without set-points it levels and coasts until it misses heartbeats; else it stops.
     """
 

@@ -85,7 +85,6 @@ class StateAssembler:
         """Process a message; messages without a part of the state are ignored.
 
         Args:
-            message: a message of the vehicle.
             now_s: when it arrived, local clock [s].
         """
         kind = message.get_type()

@@ -28,8 +28,6 @@ class Parameter:
     Attributes:
         name: name of at most 16 characters.
         required: the required value as a function of the present one.
-        why: the reason, for the user.
-        is_required: whether a vehicle without the parameter is refused.
         since: its name in later versions; empty if it is the same.
     """
 
@@ -50,7 +48,6 @@ class Autopilot:
     """A family of autopilots.
 
     Attributes:
-        name: name of the family.
         parameters: parameters that are set before a flight and restored afterwards.
         for_rates: those that are also set for flights by body rates.
         fixed: parameters with their allowed values for motion capture; they are only checked, because a
@@ -62,15 +59,12 @@ class Autopilot:
             watched, too.
         position_source: name of the parameter that selects the source of the horizontal position, and its
             value for satellites; None if fixes of satellites are not watched.
-        hover: name of the parameter with the hover throttle.
         yaw_filter: name of the parameter with the cutoff of the filter of the yaw rate's error [Hz]; empty if
             there is none.
         settling: parameter that lets it lean less in a landing, so that it notices the ground; None if there
             is none.
         own_safety: as `ardupilot_safety`, from the values of `safety_parameters`.
         is_bytewise: whether an integer parameter is sent as the bits of a float instead of its value.
-        control: main and sub mode that follow set-points.
-        landing: main and sub mode that land.
         stopping: main and sub mode in which it comes to rest before it lands; None if it stops as fast while
             it lands.
         streams_first: whether set-points must arrive before the vehicle enters the control mode.
@@ -79,7 +73,6 @@ class Autopilot:
         has_odometry: whether it sends ODOMETRY and ESTIMATOR_STATUS.
         mode_of: function from custom_mode to main mode, sub mode and name.
         custom_of: function from main and sub mode to custom_mode.
-        accepts: kinds of set-points that it follows.
     """
 
     name: str
@@ -121,11 +114,7 @@ class Autopilot:
         return tuple(dict.fromkeys((*set_or_checked, *named)))
 
     def needed(self, *, flies_rates: bool) -> tuple[Parameter, ...]:
-        """Parameters that a flight needs.
-
-        Args:
-            flies_rates: set-points are body rates.
-        """
+        """Parameters that a flight needs."""
         return self.parameters + (self.for_rates if flies_rates else ())
 
     def intervals(self, rate_hz: float, *, flies_rates: bool = False) -> dict[int, float]:
@@ -275,9 +264,6 @@ _BY_NUMBER = {dialect.MAV_AUTOPILOT_ARDUPILOTMEGA: ARDUPILOT, dialect.MAV_AUTOPI
 def autopilot_of(heartbeat: Any) -> Autopilot:
     """Family of the autopilot that sent a HEARTBEAT.
 
-    Args:
-        heartbeat: the message.
-
     Raises:
         LinkError: it is neither ArduPilot nor PX4, or no multicopter.
     """
@@ -292,9 +278,5 @@ def autopilot_of(heartbeat: Any) -> Autopilot:
 
 
 def mode_command(mode: tuple[int, int]) -> tuple[int, tuple[float, ...]]:
-    """MAV_CMD_DO_SET_MODE and its parameters.
-
-    Args:
-        mode: main and sub mode.
-    """
+    """MAV_CMD_DO_SET_MODE and its parameters."""
     return dialect.MAV_CMD_DO_SET_MODE, (float(_CUSTOM_MODE), float(mode[0]), float(mode[1]))

@@ -28,7 +28,6 @@ def throttle_of(thrust_m_s2: float, hover: float, gravity_m_s2: float) -> float:
     Args:
         thrust_m_s2: thrust per mass T [m/s^2].
         hover: hover throttle, a fraction of full throttle.
-        gravity_m_s2: g [m/s^2].
     """
     return thrust_m_s2 / gravity_m_s2 * hover
 
@@ -39,7 +38,6 @@ def hover_from(throttle: float, thrust_m_s2: float, gravity_m_s2: float) -> floa
     Args:
         throttle: throttle that was sent, a fraction of full throttle.
         thrust_m_s2: measured thrust per mass [m/s^2].
-        gravity_m_s2: g [m/s^2].
     """
     return throttle * gravity_m_s2 / thrust_m_s2
 
@@ -58,7 +56,6 @@ def measured_thrust(
         velocity_after: velocity at the end, likewise.
         dt_s: time between them [s].
         attitude_wxyz: unit quaternion that turns body vectors into the world frame, shape (4,).
-        gravity_m_s2: g [m/s^2].
     """
     acceleration = (velocity_after - velocity_before) / dt_s
     acceleration[2] += gravity_m_s2
@@ -77,7 +74,6 @@ class HoverThrottle:
     curve are not negligible.
 
     Args:
-        initial: the hover throttle that the autopilot has learned.
         gravity_m_s2: gravity from the vehicle file [m/s^2].
         tau_s: time in which an error falls to a third [s].
 

@@ -56,10 +56,6 @@ _LINK_OF_WATCHDOG = 1  # its packets are a stream of their own, whose time stamp
 def make_link(address: Address, options: LinkOptions) -> MavlinkLink:
     """Make the link for an address.
 
-    Args:
-        address: the parsed address.
-        options: options of the link.
-
     Raises:
         UsageError: an option is unknown or has an invalid value.
         LinkError: signing lacks its file, or a system number is wrong.
@@ -72,10 +68,6 @@ class MavlinkLink:
 
     It sends ten heartbeats a second, set-points as they come, commands until they are answered, and with
     motion capture its poses. It changes the parameters of `mavlink.autopilots`; `close` restores them.
-
-    Args:
-        address: the parsed address.
-        options: options of the link.
     """
 
     def __init__(self, address: Address, options: LinkOptions) -> None:
@@ -196,11 +188,7 @@ class MavlinkLink:
         return mode, self._telemetry.beat_s, 0 if signer is None else signer.newest
 
     def read_parameters(self, names: Iterable[str]) -> dict[str, float]:
-        """Values of parameters of a vehicle that was opened; those that it does not report are left out.
-
-        Args:
-            names: of the parameters.
-        """
+        """Values of parameters of a vehicle that was opened; those that it does not report are left out."""
         return {} if self._parameters is None else self._parameters.read_all(names, _ANSWER_S)
 
     def poll(self, now_s: float) -> None:
@@ -255,11 +243,6 @@ class MavlinkLink:
         ARM first takes control if the vehicle does not follow set-points yet. HOLD is a stream of
         zero-velocity set-points. TAKE_OFF of PX4 is a stream of the position set-point above. Both end with
         the next set-point or command, and neither changes the mode: a pilot who took over keeps control.
-
-        Args:
-            order: the command.
-            now_s: monotonic clock [s].
-            height_m: take-off height [m].
 
         Raises:
             LinkError: the command is not possible now.

@@ -29,10 +29,6 @@ class Addressee:
     An answer to another system or component is rejected. Older autopilots, and MAVLink 1, leave the target 0.
     Such an answer counts if it has the number of the pending command, since nothing else identifies it. A
     vehicle that has named this program once always does; from then on answers with target 0 are rejected.
-
-    Args:
-        system: system of this program.
-        component: component of this program.
     """
 
     def __init__(self, system: int, component: int) -> None:
@@ -73,11 +69,6 @@ class Orders:
     soon as the mode differs from that at the first transmission, even within one poll, because a pilot has
     chosen the new mode. After the vehicle has followed set-points once, control is not taken again without
     a new command, because the pilot may have taken it back.
-
-    Args:
-        session: the connection to the vehicle.
-        autopilot: the family of its autopilot.
-        telemetry: its reported status.
     """
 
     def __init__(self, session: Session, autopilot: Autopilot, telemetry: Telemetry) -> None:
@@ -93,9 +84,6 @@ class Orders:
         """Start a command.
 
         Args:
-            order: the command.
-            now_s: monotonic clock [s].
-            height_m: take-off height [m].
             first_s: delay before control is requested [s].
 
         Raises:

@@ -24,7 +24,6 @@ class Parameters:
     """Temporary changes to a vehicle's parameters.
 
     Args:
-        session: the connection to the vehicle.
         is_bytewise: whether an integer is sent as the bits of a float (PX4) instead of its value.
     """
 
@@ -60,12 +59,7 @@ class Parameters:
         return self._ask(tuple(names), timeout_s, all)
 
     def read_any(self, names: Iterable[str], timeout_s: float = _ANSWER_S) -> tuple[str, float] | None:
-        """Name and value of the parameter that is reported first within `timeout_s` [s]; None if none is.
-
-        Args:
-            names: of one parameter, in versions of the autopilot.
-            timeout_s: maximum time [s].
-        """
+        """Name and value of the parameter that is reported first within `timeout_s` [s]; None if none is."""
         return next(iter(self._ask(tuple(names), timeout_s, any).items()), None)
 
     def _ask(
@@ -87,9 +81,6 @@ class Parameters:
 
     def change(self, parameter: Parameter) -> str | None:
         """Set a parameter to the value that flights need; a line, or None if nothing was changed.
-
-        Args:
-            parameter: the parameter.
 
         Raises:
             LinkError: the vehicle does not have it, or does not accept the value.
@@ -113,9 +104,6 @@ class Parameters:
         """Begin to set a parameter that was read before; `poll` repeats it until the vehicle confirms it.
 
         Without effect for a vehicle that does not report the parameter, or has the value.
-
-        Args:
-            parameter: the parameter.
         """
         present = self._values.get(parameter.name)
         if present is None or _is_same(present, parameter.required(present)):
@@ -126,9 +114,6 @@ class Parameters:
 
     def require(self, needed: tuple[tuple[str, tuple[float, ...]], ...]) -> None:
         """Check that parameters have allowed values.
-
-        Args:
-            needed: names and allowed values.
 
         Raises:
             LinkError: some do not; the message lists all of them.
@@ -148,9 +133,6 @@ class Parameters:
 
     def poll(self, now_s: float) -> str | None:
         """Ask for the next watched parameter if it is due; autopilots do not announce every change.
-
-        Args:
-            now_s: monotonic clock [s].
 
         Returns:
             Those that no longer have their value, in words; None if no value arrived since the last call.

@@ -71,11 +71,7 @@ class Satellites:
         return any(fix >= _FIX_3D for fix in self._fixes.values())
 
     def trouble(self, now_s: float) -> str:
-        """Say what is wrong; empty while fixes arrive, before the first one, and if they are not watched.
-
-        Args:
-            now_s: monotonic clock [s].
-        """
+        """Say what is wrong; empty while fixes arrive, before the first one, and if they are not watched."""
         if not self.is_watched or not self._fixed_s:
             return ""
         age_s = self._heard_s - max(self._fixed_s.values())

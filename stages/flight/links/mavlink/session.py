@@ -46,7 +46,6 @@ class Session:
 
     Args:
         address: the parsed address; options `system` (of the vehicle) and `source` (of this program).
-        options: options of the link.
         take: called with each message of the vehicle and the time [s].
 
     Attributes:
@@ -128,9 +127,6 @@ class Session:
     def open(self, timeout_s: float) -> None:
         """Open the line.
 
-        Args:
-            timeout_s: maximum time [s].
-
         Raises:
             LinkError: it cannot be opened.
         """
@@ -181,7 +177,6 @@ class Session:
         Args:
             number: MAV_CMD.
             values: its first parameters; the others are 0.
-            confirmation: number of earlier transmissions.
         """
         filled = (*values, *((0.0,) * (7 - len(values))))
         return dialect.MAVLink_command_long_message(*self.target, number, min(confirmation, 255), *filled)
@@ -194,14 +189,7 @@ class Session:
         again: Callable[[], None] | None = None,
         every_s: float = 0.5,
     ) -> bool:
-        """Poll until a condition holds or the time is over; returns whether it holds.
-
-        Args:
-            is_done: the condition.
-            timeout_s: maximum time [s].
-            again: called at once and then every `every_s`.
-            every_s: period of `again` [s].
-        """
+        """Poll until a condition holds or the time is over; returns whether it holds."""
         clock = self.options.clock
         end_s, next_s = clock() + timeout_s, -math.inf
         while True:

@@ -38,10 +38,7 @@ class SetpointEncoder:
     limit or the slew limit is clipped and counted.
 
     Args:
-        target: system and component of the autopilot.
         frame: the world frame relative to the vehicle's local frame.
-        limits: limits of set-points.
-        hover: the hover throttle.
 
     Attributes:
         clipped: number of set-points that were changed by a limit.
@@ -59,8 +56,6 @@ class SetpointEncoder:
 
         Args:
             setpoint: the set-point, world frame.
-            now_s: monotonic clock [s].
-            time_ms: time stamp of the message [ms].
 
         Raises:
             LinkError: a field is not finite or far out of range.
@@ -109,7 +104,6 @@ class SetpointEncoder:
 
         Args:
             position_ned: shape (3,), vehicle's local frame, north-east-down [m].
-            time_ms: time stamp of the message [ms].
         """
         self._last = None
         _check("position", position_ned, math.inf)

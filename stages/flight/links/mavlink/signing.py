@@ -45,7 +45,6 @@ class Signer:
         key: 32 bytes.
         file: stores a stamp above all that were used, and the newest stamp of each sender; without it,
             packets are refused after the clock was set back, and packets of an earlier run may pass.
-        clock: monotonic clock [s].
         wall_clock: time since 1970 [s], read once; `clock` continues from there.
         link: number of this link, so that several may share a key.
 
@@ -93,8 +92,6 @@ class Signer:
 
         Args:
             frame: the whole frame with its signature.
-            system: system of the sender.
-            component: component of the sender.
         """
         expected = hashlib.sha256(self.key + frame[:-_STAMP_BYTES]).digest()[:_STAMP_BYTES]
         if not hmac.compare_digest(expected, frame[-_STAMP_BYTES:]):

@@ -52,11 +52,9 @@ class Telemetry:
     """Updates a `VehicleStatus` from messages.
 
     Attributes:
-        status: the status.
         heartbeat: the newest HEARTBEAT; None before the first.
         mode: its main and sub mode; None if unknown or old.
         autopilot: the family that defines the modes; None before it is known.
-        satellites: watch over satellite receivers.
     """
 
     def __init__(self) -> None:

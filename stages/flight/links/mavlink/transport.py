@@ -50,7 +50,6 @@ def open_transport(address: Address, timeout_s: float, clock: Callable[[], float
     """Open the line of an address.
 
     Args:
-        address: the parsed address.
         timeout_s: maximum time to connect [s].
         clock: monotonic clock [s], for reopening a serial line that dropped out.
 
@@ -70,10 +69,6 @@ def open_transport(address: Address, timeout_s: float, clock: Callable[[], float
 
 def find_udp(host: str, port: int) -> tuple[socket.AddressFamily, Any]:
     """Socket family and address of a host; IPv4 if it has both, because vehicles send to 127.0.0.1.
-
-    Args:
-        host: name or address.
-        port: UDP port.
 
     Raises:
         OSError: the host is unknown.

@@ -27,9 +27,6 @@ class Packet(NamedTuple):
     """A received frame.
 
     Attributes:
-        system: system of the sender.
-        component: component of the sender.
-        sequence: sequence number.
         message: the message; None if it is not wanted.
         is_checked: whether the checksum was checked; it cannot be for a message without a definition, which
             may come from any sender.
@@ -46,9 +43,6 @@ class Wire:
     """Encoder and decoder at one end of a link; the decoder accepts any bytes and never raises.
 
     Args:
-        system: system of this program.
-        component: component of this program.
-        wanted: numbers of the messages to decode.
         signer: signs and checks packets; None without a key.
 
     Attributes:
@@ -96,7 +90,6 @@ class Wire:
 
         Args:
             data: received bytes.
-            is_datagram: whether they are a whole datagram.
         """
         buffer = self._rest + data
         self._rest = b""
