@@ -46,43 +46,28 @@ class Px4AttitudeControl(AttitudeControl):
         self._throttle_weight = TICK_S / max(_THROTTLE_S - motor_time_s, TICK_S)
 
     def reset(self, attitude: Quat) -> None:
-        """Set the target to the present attitude, at rest."""
+        """See `AttitudeControl`."""
         self.target, self.rates = attitude, (0.0, 0.0, 0.0)
 
     def input_rates(self, omega: Vector) -> None:
-        """Turn the target with commanded body rates, FRD [rad/s]."""
+        """See `AttitudeControl`."""
         self._turn_with_lag(omega, TICK_S / (_RATE_INPUT_S + TICK_S))
 
     def input_attitude(self, attitude: Quat, omega: Vector = (0.0, 0.0, 0.0), *, slews: bool = False) -> None:
-        """Turn the target to an attitude within about ATC_INPUT_TC.
-
-        Args:
-            attitude: commanded attitude, unit quaternion w, x, y, z, NED from FRD.
-            omega: commanded body rates on top, FRD [rad/s].
-        """
+        """See `AttitudeControl`."""
         time_s = max(self._parameters["ATC_INPUT_TC"], 2 * TICK_S) / 2
         error = to_vector(relative(self.target, attitude))
         self._turn_with_lag(added(omega, scaled(error, 1 / time_s)), TICK_S / (time_s / 2 + TICK_S))
 
     def set_throttle(self, throttle: float, *, boosted: bool = True, cutoff_hz: float = 0.0) -> None:
-        """Set the throttle.
-
-        Args:
-            throttle: 0 to 1.
-            boosted: divide it by the cosine of the target's tilt, unless ATC_ANGLE_BOOST is 0.
-        """
+        """See `AttitudeControl`."""
         if boosted and self._parameters.whole("ATC_ANGLE_BOOST"):
             cosine = cos_tilt(self.target)
             throttle *= max(0.0, min(1.0, 10 * cosine)) / max(0.1, min(1.0, cosine))
         self.throttle_command = max(0.0, min(1.0, throttle))
 
     def run(self, attitude: Quat, omega: Vector) -> tuple[float, Vector]:
-        """Compute thrust [N] and torque, FRD [N m], of this tick.
-
-        Args:
-            attitude: estimated attitude, unit quaternion w, x, y, z, NED from FRD.
-            omega: estimated body rates, FRD [rad/s].
-        """
+        """See `AttitudeControl`."""
         between = relative(attitude, self.target)
         error = to_vector(between)
         ahead = rotate(between, self.rates)

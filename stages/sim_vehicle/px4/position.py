@@ -63,11 +63,7 @@ class Px4PositionControl(PositionControl):
         return max(-limit, min(limit, speed))
 
     def climb(self, motion: Motion, climb_m_s: float) -> None:
-        """Command the throttle for a climb rate, reached with WPNAV_ACCEL_Z.
-
-        Args:
-            climb_m_s: climb rate, upward [m/s].
-        """
+        """See `PositionControl`; the climb rate is reached with WPNAV_ACCEL_Z."""
         limit = max(self._parameters["WPNAV_ACCEL_Z"], 1.0) / 100
         command = max(-limit, min(limit, (climb_m_s - self._climb_m_s) / 0.3))
         jerk = _JERK_PER_S * limit * TICK_S
@@ -77,21 +73,12 @@ class Px4PositionControl(PositionControl):
         self._throttle_for(motion, self._climb_m_s, self._climb_m_s2)
 
     def follow_vertical(self, motion: Motion, down_m_s: float, down_m_s2: float) -> None:
-        """Command the throttle for a vertical velocity and acceleration without shaping.
-
-        Args:
-            down_m_s: velocity, downward [m/s].
-            down_m_s2: acceleration, downward [m/s^2].
-        """
+        """See `PositionControl`; without shaping."""
         self._climb_m_s, self._climb_m_s2 = -down_m_s, 0.0
         self._throttle_for(motion, -down_m_s, -down_m_s2)
 
     def height(self, motion: Motion, down_m: float) -> None:
-        """Command the throttle for a height.
-
-        Args:
-            down_m: height as the NED coordinate [m].
-        """
+        """See `PositionControl`."""
         error = motion.position[2] - down_m
         up, down = (self._parameters[f"WPNAV_SPEED_{direction}"] / 100 for direction in ("UP", "DN"))
         acceleration = max(self._parameters["WPNAV_ACCEL_Z"], 1.0) / 100 * 0.7
@@ -100,12 +87,7 @@ class Px4PositionControl(PositionControl):
     def velocity(
         self, motion: Motion, velocity: tuple[float, float], ahead: tuple[float, float] = (0.0, 0.0)
     ) -> None:
-        """Command lean angles for a horizontal velocity, reached with WPNAV_ACCEL.
-
-        Args:
-            velocity: north and east [m/s].
-            ahead: acceleration added to it, north and east [m/s^2].
-        """
+        """See `PositionControl`; reached with WPNAV_ACCEL."""
         self._hold = None
         self._fly(motion, velocity, ahead)
 
@@ -130,11 +112,7 @@ class Px4PositionControl(PositionControl):
         self._lean_along(motion, self._course, feed)
 
     def point(self, motion: Motion, position: tuple[float, float], max_m_s: float) -> None:
-        """Command lean angles for a horizontal position.
-
-        Args:
-            position: north and east [m].
-        """
+        """See `PositionControl`."""
         dx, dy = position[0] - motion.position[0], position[1] - motion.position[1]
         distance = math.hypot(dx, dy)
         acceleration = max(self._parameters["WPNAV_ACCEL"], 10.0) / 100 / 2
@@ -145,16 +123,7 @@ class Px4PositionControl(PositionControl):
     def track(
         self, motion: Motion, position: Vector | None, velocity: Vector, ahead: Vector
     ) -> tuple[Vector | None, Vector]:
-        """Follow a stream of set-points without shaping them.
-
-        Args:
-            position: NED [m]; None if the set-point has none.
-            velocity: NED [m/s].
-            ahead: acceleration, NED [m/s^2].
-
-        Returns:
-            The same position and velocity.
-        """
+        """See `PositionControl`; without shaping, and the same position and velocity remain."""
         gain = self._parameters["PSC_POSXY_P"]
         command = list(velocity)
         if position is not None:

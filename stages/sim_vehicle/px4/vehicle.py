@@ -221,11 +221,7 @@ class Px4Copter(Copter):
         return self.arming_refusal()
 
     def arm(self, *, forced: bool = False) -> bool:
-        """Arm by COMPONENT_ARM_DISARM; returns whether it is armed.
-
-        Args:
-            forced: **skip every check**.
-        """
+        """See `Copter`; `forced` **skips every check**."""
         if self.is_armed:
             return True
         if not forced and (reason := self.arming_refusal()) is not None:
@@ -244,11 +240,7 @@ class Px4Copter(Copter):
         return True
 
     def disarm(self, *, forced: bool = False) -> bool:
-        """Disarm; returns whether it is disarmed.
-
-        Args:
-            forced: disarm in the air too.
-        """
+        """See `Copter`."""
         if not (self.is_landed or forced):
             self.say(CRITICAL, "Disarming denied: not landed")
             return False

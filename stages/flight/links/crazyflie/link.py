@@ -108,11 +108,7 @@ class CrazyflieLink:
         return self._encoder.clipped
 
     def open(self, timeout_s: float) -> str:
-        """Connect to the vehicle within `timeout_s` [s]; returns a description of it.
-
-        Raises:
-            LinkError: cflib is missing, no vehicle answers, or its firmware is too old.
-        """
+        """See `Link`; also raises LinkError without cflib, or for firmware that is too old."""
         try:
             if self._feed is not None:
                 self._feed.open()

@@ -130,11 +130,7 @@ class MavlinkLink:
         return self._session.unsent
 
     def open(self, timeout_s: float) -> str:
-        """Connect to the vehicle within `timeout_s` [s]; returns a description of it.
-
-        Raises:
-            LinkError: there is no vehicle, there are several, or this program cannot fly it.
-        """
+        """See `Link`; also raises LinkError if several vehicles answer, or this program cannot fly it."""
         try:
             if self._mocap is not None:
                 self._mocap.open()
