@@ -28,7 +28,6 @@ def guard_of(
     """Build the geofence behind all that is sent.
 
     Args:
-        fence: volume to fly in, world frame.
         reserve_m: distance that it keeps beyond the radius [m].
     """
     return FenceGuard(
@@ -62,9 +61,6 @@ def needs_of(
         setpoints: kinds of set-points; the link must accept one of them.
         ends: start and goal, each of shape (3,), world frame [m].
         departures: instants of the flight from which the vehicle may turn home, world frame.
-        obstacles: by name, world frame.
-        margin_m: additional clearance of the climb path [m].
-        fence: volume to fly in, world frame.
         plan: whether the flight is proven clear of the map, and how, in words.
         map_origin_m: position in the world that became the map's origin [m]; None where it is its own.
     """

@@ -124,11 +124,7 @@ def summary_of(
     taken: Sequence[tuple[float, Taken]],
     new_plans: int = 0,
 ) -> dict[str, Any]:
-    """Summary of a flight, with the keys of `simulate`.
-
-    Args:
-        taken: steps of the supervisor with their times [s].
-    """
+    """Summary of a flight, with the keys of `simulate`."""
     cause = supervision.cause
     return {
         **head([trial], ("reached", *PLAN_OUTCOMES, "stuck", "timeout", "refused", "stopped")),
@@ -144,11 +140,7 @@ def summary_of(
 
 
 def timing_of(counters: Counters, dropped: int, rate_hz: float) -> dict[str, Any]:
-    """Measured times of the loop, for the record.
-
-    Args:
-        rate_hz: nominal rate of the loop [Hz].
-    """
+    """Measured times of the loop, for the record."""
     found: dict[str, Any] = {}
     for name, values in (
         ("filter", counters.filter_s),

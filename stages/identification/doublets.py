@@ -113,11 +113,7 @@ def _rises_at(recording: Recording, number: int, step: Step, level: float) -> fl
 
 
 def thrust_lag(recording: Recording, gravity: float) -> Measured | None:
-    """First-order lag of the thrust: the best fit of v = k (t - tau (1 - exp(-t / tau))) to the climb.
-
-    Args:
-        gravity: g [m/s^2].
-    """
+    """First-order lag of the thrust: the best fit of v = k (t - tau (1 - exp(-t / tau))) to the climb."""
 
     def lag_of(number: int, step: Step) -> float | None:
         out = recording.rows(number, Phase.OUT)

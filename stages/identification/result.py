@@ -175,7 +175,6 @@ def disagreements(found: Identification, guess: Vehicle, parameters: Mapping[str
 def _compared(
     found: Identification, guess: Vehicle, parameters: Mapping[str, float]
 ) -> Iterator[tuple[str, float, float, str]]:
-    """What, measured and expected value, and unit."""
     following, fastest = guess.following, max(each.speed_m_s for each in found.responses)
     laws = [("horizontal", found.horizontal_lag, following.horizontal_lag)]
     if found.vertical_lag is not None:

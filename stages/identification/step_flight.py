@@ -83,11 +83,7 @@ class StepFlight:
         return self._next >= len(self._steps)
 
     def pause(self, heading_rad: float) -> None:
-        """Begin the present step again; the first heading is kept.
-
-        Args:
-            heading_rad: heading of the vehicle now [rad].
-        """
+        """Begin the present step again; the first heading is kept."""
         if self._heading is None:
             self._heading = heading_rad
             self._row[0, 15] = heading_rad
@@ -113,8 +109,6 @@ class StepFlight:
         """See `Commander`; a target other than its own is a hold.
 
         Args:
-            state: newest state of the vehicle, world frame.
-            age_s: time since the state was received [s].
             target: reference, shape (1, 18), world frame.
         """
         yaw = float(target[0, 15])

@@ -159,7 +159,6 @@ def _open_views(
     paths: Mapping[str, Path],
     common: Common,
 ) -> list[FlightPipe]:
-    """Start the live view and the server for Foxglove, each if it has a port."""
     from alula.stages.flight.recorder.foxglove_server import open_foxglove
 
     views = []

@@ -81,8 +81,6 @@ class Commander(Protocol):
         """Compute the set-point of a tick.
 
         Args:
-            state: newest state of the vehicle, world frame.
-            age_s: time since the state was received [s].
             target: reference, a row of `ReferenceCurve.at`, shape (1, 18), world frame.
         """
         ...

@@ -59,7 +59,6 @@ class Mocap:
 
     Args:
         address: `udp:HOST:PORT` to listen on.
-        frame: the world frame relative to the vehicle's local frame.
 
     Attributes:
         bad: number of datagrams that were refused.

@@ -39,7 +39,6 @@ def open_link(address: str, options: LinkOptions | None = None) -> Link:
 
     Args:
         address: the vehicle address, see `addresses`.
-        options: options of the link; None for the defaults.
 
     Raises:
         UsageError: the address is wrong, or remote without `allow_remote`; no link has its scheme; or the

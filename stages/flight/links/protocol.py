@@ -42,11 +42,7 @@ class VehicleState:
     latency_s: float = 0.0
 
     def age_s(self, now_s: float) -> float:
-        """Upper bound of the age of this state [s]; NaN if the latency of the link was not measured.
-
-        Args:
-            now_s: this host's monotonic clock [s].
-        """
+        """Upper bound of the age of this state [s]; NaN if the latency of the link was not measured."""
         return now_s - self.received_s + self.latency_s
 
 
@@ -204,9 +200,6 @@ class Link(Protocol):
 
     def send(self, setpoint: Setpoint, now_s: float) -> None:
         """Send a set-point.
-
-        Args:
-            setpoint: the set-point, world frame.
 
         Raises:
             LinkError: it is not finite or out of the vehicle's range.

@@ -77,10 +77,6 @@ class SimulatedLink:
     The vehicle arms, takes off, holds and lands by itself. It follows set-points while its mode is `GUIDED`,
     holds its position 0.3 s after the last one, and stops its motors after landing. Its own modes use the
     true state, without noise.
-
-    Args:
-        yaw_rad: initial heading, world frame [rad].
-        battery_s: time until the battery is empty [s].
     """
 
     def __init__(
@@ -147,9 +143,6 @@ class SimulatedLink:
 
     def send(self, setpoint: Setpoint, now_s: float) -> None:
         """Follow a set-point from now on.
-
-        Args:
-            setpoint: the set-point, world frame.
 
         Raises:
             LinkError: the vehicle's model does not take its kind, or a field is not finite.

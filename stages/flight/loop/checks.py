@@ -28,7 +28,6 @@ class FlightChecks:
 
     Args:
         trouble: reason why `Link.prepare` failed; empty if it did not.
-        observe_s: duration of the observation before each evaluation [s].
         patience_s: time after which a failed check is final even if it may pass later [s].
         by_hand: prompt the operator to move the vehicle along the axes of the map.
 

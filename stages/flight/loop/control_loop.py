@@ -244,12 +244,7 @@ class ControlLoop:
                         self.commander.sent(active)
 
     def tick(self, now_s: float, late_s: float, spent_s: float) -> None:
-        """Run one tick.
-
-        Args:
-            late_s: time since the deadline of this tick [s].
-            spent_s: duration of the tick before [s].
-        """
+        """Run one tick."""
         self._sent = None
         if self._watchdog is not None and self._taken_s is None and self._watchdog.has_taken_over:
             # What stops the program within a tick lets it beat once more before it sees what was done.

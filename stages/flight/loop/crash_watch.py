@@ -46,7 +46,6 @@ class CrashWatch:
         """Add a state; the same state again, or one with numbers that are not finite, changes nothing.
 
         Args:
-            state: newest state of the vehicle, world frame.
             height_m: its height above the ground where it took off [m].
             plan_m: height of the plan above the vehicle, now [m]; minus infinity if it is not to be compared.
             is_landing: it was ordered to land, so that it descends unless it is on the ground.

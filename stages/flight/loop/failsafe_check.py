@@ -26,7 +26,6 @@ def failsafe_faults(
     Args:
         departures: instants of the flight from which it may turn home, world frame, z up.
         home: take-off position, shape (3,), world frame [m].
-        obstacles: by name, world frame.
         foot_m: the last part of the way down, to leave out the ground [m].
 
     Returns:

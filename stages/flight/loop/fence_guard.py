@@ -70,7 +70,6 @@ class FenceGuard:
     hold the vehicle.
 
     Args:
-        fence: volume to fly in, world frame.
         vehicle: contents of the vehicle's file; its radius is kept from the fence.
         reserve_m: distance kept beyond the radius, for errors of the model [m].
         latency_s: assumed latency of state and command; the state is predicted over what a longer measured
@@ -116,7 +115,6 @@ class FenceGuard:
         """Distance from the vehicle's sphere to the fence; negative outside [m].
 
         Args:
-            state: of the vehicle, world frame.
             floor_m: a vehicle below this height counts as being at it, so that the sides and the top of the
                 fence count and its bottom does not [m].
         """
@@ -125,11 +123,7 @@ class FenceGuard:
         return self.fence.clearance((x, y, z), (x, y, z)) - self.radius_m
 
     def guard(self, state: VehicleState, age_s: float, setpoint: Setpoint) -> Guarded:
-        """Compute the allowed set-point.
-
-        Args:
-            state: of the vehicle, world frame.
-        """
+        """Compute the allowed set-point."""
         ahead_s = age_s + max(0.0, state.latency_s - self._latency_s)
         row = np.concatenate(
             [state.position + ahead_s * state.velocity, state.velocity, state.attitude_wxyz, state.omega]

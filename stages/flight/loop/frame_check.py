@@ -59,11 +59,7 @@ class HandCheck:
         )
 
     def update(self, state: VehicleState) -> None:
-        """Register a state; call it once per received state.
-
-        Args:
-            state: newest state of the vehicle, world frame.
-        """
+        """Register a state; call it once per received state."""
         rests = float(np.linalg.norm(state.velocity)) < self.rest_m_s
         if len(self.moved) == len(_AXES):
             self.is_down = rests and abs(float(state.position[2]) - self._lifted_m) < self.down_m
@@ -208,11 +204,7 @@ class MotionCheck:
         return not self._open or bool(self.wrong)
 
     def update(self, state: VehicleState) -> None:
-        """Add a state; a gap of more than two windows begins a new window.
-
-        Args:
-            state: newest state of the vehicle, world frame.
-        """
+        """Add a state; a gap of more than two windows begins a new window."""
         now = state.received_s
         if self.is_decided or (self._start is not None and now <= self._last_s):
             return

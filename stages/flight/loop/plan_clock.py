@@ -79,11 +79,7 @@ class PlanClock:
         return self._clock.is_over
 
     def pause(self, heading_rad: float) -> None:
-        """Stop the time; the flight continues from here, and turns from this heading to the plan's.
-
-        Args:
-            heading_rad: heading of the vehicle now, see `heading_of` [rad].
-        """
+        """Stop the time; the flight continues from here, and turns from this heading to the plan's."""
         self._clock.pause(heading_rad)
 
     def enter(self, time_s: float, rate: float, heading_rad: float) -> None:
@@ -92,7 +88,6 @@ class PlanClock:
         Args:
             time_s: from 0 on [s].
             rate: of this time, from 0 to 1.
-            heading_rad: heading of the vehicle now, see `heading_of` [rad].
 
         Raises:
             ValueError: a value is not a number or out of range.
@@ -100,11 +95,7 @@ class PlanClock:
         self._clock.enter(time_s, rate, heading_rad)
 
     def advance(self, dt_s: float, error_m: float) -> None:
-        """Advance by a time step.
-
-        Args:
-            error_m: distance of the vehicle from the reference [m].
-        """
+        """Advance by a time step."""
         self._clock.advance(dt_s, error_m)
 
     def target(self) -> FloatArray:

@@ -227,7 +227,6 @@ def _on_ground(seen: Observed, needs: Needs) -> Verdict:
 
 
 def _arming(seen: Observed, needs: Needs) -> Verdict:
-    """The vehicle's own checks before arming."""
     status = seen.status
     if status.can_arm is None:
         return Verdict("arming", True, "the vehicle does not report checks of its own")

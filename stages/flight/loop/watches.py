@@ -135,9 +135,6 @@ class PositionWatch:
 
         A vehicle below the foot counts as being on the path: height above the ground is what estimators get
         wrong most. The result is infinite before `proven`, and NaN for a position that is not a number.
-
-        Args:
-            state: of the vehicle, world frame.
         """
         if self._foot is None:
             return math.inf
@@ -155,9 +152,6 @@ class PositionWatch:
 
         A hold begins with the first state that is passed after `moved`. The result is NaN for a position that
         is not a number.
-
-        Args:
-            state: of the vehicle, world frame.
         """
         if self._held is None:
             self._held = state
@@ -178,11 +172,7 @@ class JumpWatch:
         self._last: VehicleState | None = None
 
     def jump_m(self, state: VehicleState) -> float:
-        """Jump from the last state to this one [m]; 0 for the same state, infinite if it is not a number.
-
-        Args:
-            state: newest state of the vehicle, world frame.
-        """
+        """Jump from the last state to this one [m]; 0 for the same state, infinite if it is not a number."""
         last, self._last = self._last, state
         if last is None or last is state:
             return 0.0
@@ -204,8 +194,6 @@ class ModelWatch:
     with room of 0.3 m/s and 0.3 times the limit of set-points: a vehicle that does not follow at all.
 
     Args:
-        lag_s: lag that filters of velocities assume [s].
-        max_speed_m_s: limit of velocity set-points [m/s].
         max_m_s2: largest acceleration that the model may leave out [m/s^2].
     """
 
@@ -224,7 +212,6 @@ class ModelWatch:
         """Compare the motion in a tick.
 
         Args:
-            state: of the vehicle, world frame.
             sent: set-point that was sent in this tick; None if none was.
         """
         is_off = isinstance(sent, VelocitySetpoint) and self._leaves(

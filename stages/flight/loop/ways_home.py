@@ -92,7 +92,6 @@ def closest_way_home(
     Args:
         departures: from which it turns home, world frame, z up.
         home: take-off position, shape (3,), world frame [m].
-        obstacles: by name, world frame.
         radius_m: radius of the vehicle; departures that are closer to an obstacle are left out, and those
             about which 5 mm do not decide that [m].
         foot_m: the last part of the way down, to leave out the ground [m].

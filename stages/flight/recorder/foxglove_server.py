@@ -54,8 +54,6 @@ def open_foxglove(port: int, head: FlightHead) -> tuple[FlightPipe, str]:
 
 
 class _Served:
-    """Channels of the server, in its process."""
-
     def __init__(self, head: FlightHead, port: int) -> None:
         import foxglove
 

@@ -118,8 +118,6 @@ def _content(head: ViewHead) -> Content:
 
 
 class _View:
-    """Contents of the view, in its process."""
-
     def __init__(self, server: Any, head: ViewHead) -> None:
         self.server, self.head = server, head
         self.lock = threading.Lock()
@@ -182,7 +180,6 @@ class _View:
             self.text.content = self._page(f"The flight has ended: {where}; {last}. This view is closed.")
 
     def _plan(self, plan: PlanSample) -> None:
-        """Draw a new plan beside those before it."""
         self.plans += 1
         points = np.array(plan.points)
         curve = Lines(
@@ -221,7 +218,6 @@ class _View:
         draw_part(self.server.scene, path)
 
     def _say(self) -> None:
-        """Write the text for the last sample."""
         now = time.monotonic()
         self.text_s = now
         silent_s = now - self.heard_s

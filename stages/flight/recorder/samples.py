@@ -152,28 +152,19 @@ class Recorder(Protocol):
         ...
 
     def step(self, time_s: float, taken: Taken) -> None:
-        """Record a step of the supervisor.
-
-        Args:
-            time_s: time since the start of the flight [s].
-        """
+        """Record a step of the supervisor."""
         ...
 
     def plan(self, time_s: float, points: list[Three]) -> None:
         """Record a new plan that the flight continues along.
 
         Args:
-            time_s: time since the start of the flight [s].
             points: of the plan, world frame [m].
         """
         ...
 
     def say(self, time_s: float, level: int, words: str) -> None:
-        """Record a message for the operator.
-
-        Args:
-            time_s: time since the start of the flight [s].
-        """
+        """Record a message for the operator."""
         ...
 
 

@@ -79,7 +79,6 @@ def _has_more(plan: Artifact) -> bool:
 
 
 def _interface(mission: PlannedFlight) -> dict[str, str]:
-    """What the vehicle is commanded by, as a parameter of `plan`."""
     roles = ("scene",) if mission.is_splat else ("cover",)
     return {"interface": planned_interface([mission.config.filter], filter_kind, roles)}
 

@@ -69,20 +69,11 @@ class HeldUp:
         self.restart(0.0)
 
     def restart(self, plan_s: float) -> None:
-        """Begin anew.
-
-        Args:
-            plan_s: time along the plan [s].
-        """
+        """Begin anew."""
         self._from_s, self._for_s, self._changed_s = plan_s, 0.0, 0.0
 
     def update(self, dt_s: float, plan_s: float, error_m: float, *, is_changed: bool) -> bool:
-        """Add a tick; True if the flight is held up.
-
-        Args:
-            plan_s: time along the plan [s].
-            error_m: distance of the vehicle from the reference [m].
-        """
+        """Add a tick; True if the flight is held up."""
         if not 0 <= plan_s - self._from_s <= _SLOW * self.after_s or error_m <= self.near_m:
             self.restart(plan_s)
         self._for_s += dt_s

@@ -82,7 +82,6 @@ class Watchdog:
         )
 
     def _meet(self) -> None:
-        """Wait until the process is ready."""
         if self._socket.recv(1) != companion.READY:
             raise OSError("it ended")
 

@@ -118,7 +118,6 @@ class Copter:
         self.say(INFO, self.FIRMWARE)
 
     def _boot(self) -> None:
-        """Set the initial mode and other initial state of the firmware."""
         initial = self.parameters.whole("INITIAL_MODE")
         if refusal(initial, has_position=True) is None:
             self.mode = Mode(initial)
@@ -367,7 +366,6 @@ class Copter:
         return self.parameters["DISARM_DELAY"]
 
     def _announce(self) -> None:
-        """Send each text of the estimator once."""
         now = set()
         if self.estimator.is_started:
             now.add("EKF3 IMU0 initialised")

@@ -61,7 +61,6 @@ class Pilot:
         """Move a stick or switch; used by tests.
 
         Args:
-            channel: number of the channel, from 1.
             value: pulse width [us].
         """
         self._sticks[channel - 1] = value

@@ -39,7 +39,6 @@ class PositionControl:
 
     Args:
         parameters: gains and limits, read at every tick.
-        gravity: g [m/s^2].
     """
 
     def __init__(self, attitude: AttitudeControl, parameters: Parameters, gravity: float) -> None:
@@ -215,7 +214,6 @@ class PositionControl:
         self._attitude.input_attitude(attitude, (0.0, 0.0, self.yaw_rate), slews=True)
 
     def _throttle(self, motion: Motion) -> None:
-        """Follow the shaped vertical motion by the throttle."""
         vertical = self._vertical
         error = vertical.keep_near(motion.position[2], self._vertical_error)
         target = vertical.velocity + square_root(error, self._vertical_gain, self._vertical_limit)

@@ -162,11 +162,7 @@ class Airframe:
         return self.body.mass * self.body.gravity
 
     def step(self, thrust_n: float, torque: Vector) -> None:
-        """Simulate one tick; when rotors saturate, roll and pitch have priority over thrust and yaw.
-
-        Args:
-            torque: torque in FRD [N m].
-        """
+        """Simulate one tick; when rotors saturate, roll and pitch have priority over thrust and yaw."""
         if self.on_ground and not (thrust_n or any(torque)):
             return
         x, y, z = torque
@@ -202,7 +198,6 @@ class Airframe:
 
 
 def _up(attitude: Quat) -> float:
-    """Cosine of the tilt."""
     return 1 - 2 * (attitude[1] ** 2 + attitude[2] ** 2)
 
 

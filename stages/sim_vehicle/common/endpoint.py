@@ -219,7 +219,6 @@ def serve(
 
     Args:
         mocap: where its motion capture is sent; None for none.
-        duration_s: simulated time after which it stops [s]; None for no limit.
         stop: polled in every period; True stops it.
 
     Returns:

@@ -273,7 +273,6 @@ class SimulatedCrazyflie:
             self.supervisor.notice(self.time_s)
 
     def _apply_parameters(self) -> None:
-        """Apply parameters that were written and act at once."""
         values = self.parameters.values
         for name in self.parameters.written:
             if name == "kalman.resetEstimation" and values[name]:

@@ -22,7 +22,6 @@ class Px4PositionControl(PositionControl):
 
     Args:
         parameters: gains and limits, read at every tick.
-        gravity: g [m/s^2].
     """
 
     def __init__(self, attitude: AttitudeControl, parameters: Parameters, gravity: float) -> None:

@@ -45,8 +45,6 @@ class Motion:
 
 @dataclass(slots=True)
 class _Pending:
-    """A command that is repeated until it is done."""
-
     order: Order
     send: Callable[[], None]
     is_done: Callable[[], bool] | None  # None: done when the high-level commander has answered

@@ -60,9 +60,6 @@ class SetpointEncoder:
     p + v t + a t^2 / 2 and v + a t; otherwise the gains would pull the vehicle back. The attitude is that of
     the thrust a + g with the yaw. The body rates turn it as the acceleration changes, smoothed over 50 ms.
 
-    Args:
-        frame: the world frame relative to the vehicle's local frame.
-
     Attributes:
         clipped: number of set-points that were changed by a limit.
     """

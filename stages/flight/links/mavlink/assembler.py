@@ -40,7 +40,6 @@ class StateAssembler:
     smallest delay by the answers to time requests.
 
     Args:
-        frame: the world frame relative to the vehicle's local frame.
         is_open: function of the time; while it returns False, states are not renewed.
 
     Attributes:

@@ -386,7 +386,6 @@ class MavlinkLink:
         ]
 
     def _take(self, message: Any, now_s: float) -> None:
-        """Process a message of the vehicle."""
         kind = message.get_type()
         if kind == "PARAM_VALUE":
             if self._parameters is not None:

@@ -159,7 +159,6 @@ class Orders:
             self._texts = [*self._texts[-7:], (now_s, text)]
 
     def _advance(self, now_s: float) -> None:
-        """Remove steps that are done."""
         while self._steps:
             step = self._steps[0]
             if step.since_s == math.inf:

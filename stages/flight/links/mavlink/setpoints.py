@@ -37,9 +37,6 @@ class SetpointEncoder:
     A set-point that is not finite or beyond twice a limit is refused, with the field's name. One beyond a
     limit or the slew limit is clipped and counted.
 
-    Args:
-        frame: the world frame relative to the vehicle's local frame.
-
     Attributes:
         clipped: number of set-points that were changed by a limit.
     """
@@ -53,9 +50,6 @@ class SetpointEncoder:
 
     def encode(self, setpoint: Setpoint, now_s: float, time_ms: int) -> Any:
         """Message of a set-point.
-
-        Args:
-            setpoint: the set-point, world frame.
 
         Raises:
             LinkError: a field is not finite or far out of range.

@@ -50,7 +50,6 @@ def open_transport(address: Address, timeout_s: float, clock: Callable[[], float
     """Open the line of an address.
 
     Args:
-        timeout_s: maximum time to connect [s].
         clock: monotonic clock [s], for reopening a serial line that dropped out.
 
     Raises:
