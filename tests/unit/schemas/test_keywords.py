@@ -1,6 +1,5 @@
 """Keyword arguments of `import alula` are known to type checkers."""
 
-import os
 import re
 import subprocess
 import sys
@@ -37,21 +36,11 @@ def test_the_types_of_keyword_arguments_are_generated():
 @pytest.mark.process
 def test_mypy_accepts_what_is_right_and_finds_what_is_wrong(tmp_path):
     pytest.importorskip("mypy")
-    view = tmp_path / "typing/alula"
-    view.mkdir(parents=True)
-    for name in ("cli", "stages", "schemas"):
-        (view / name).symlink_to(ROOT / name)
-    for name in ("__init__.py", "py.typed", "_core.pyi"):
-        (view / name).symlink_to(ROOT / "native/python/alula" / name)
+    subprocess.run(["make", "-C", str(ROOT), "typing-view"], check=True, capture_output=True)
     (tmp_path / "snippet.py").write_text(SNIPPET)
-    done = subprocess.run(
-        [sys.executable, "-P", "-m", "mypy", "--config-file", str(ROOT / "pyproject.toml"), "snippet.py"],
-        cwd=tmp_path,
-        env={**os.environ, "MYPYPATH": str(view.parent)},
-        capture_output=True,
-        text=True,
-    )
-    found = re.findall(r"^snippet.py:(\d+): error: .*\[([a-z-]+)\]$", done.stdout, re.MULTILINE)
+    words = [sys.executable, "-P", "-m", "mypy", str(tmp_path / "snippet.py")]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)  # with what `make typecheck` kept
+    found = re.findall(r"snippet.py:(\d+): error: .*\[([a-z-]+)\]$", done.stdout, re.MULTILINE)
     lines = enumerate(SNIPPET.splitlines(), 1)
     expected = {(str(i), line.rpartition(": ")[2]) for i, line in lines if "# wrong" in line}
     assert set(found) == expected, done.stdout + done.stderr
