@@ -63,11 +63,10 @@ class AttitudeControl:
         self._throttle_pull = 1.0  # of the low-pass on the throttle
         self._loops = [Pid(parameters, f"ATC_RAT_{name}") for name, _ in _AXES]
         self._gyro = [[0.0, 0.0] for _ in _AXES]  # of the second-order low-pass
-        self._tune()
+        parameters.follow(self._tune)
 
     def _tune(self) -> None:
         p = self._parameters
-        self._revision = p.revision
         self._gains = [p[f"ATC_ANG_{name}_P"] for name, _ in _AXES]
         # Largest angular accelerations of the target; 0 for no limit.
         self._limits = [math.radians(p[f"ATC_ACCEL_{letter}_MAX"] / 100) for _, letter in _AXES]
@@ -94,8 +93,6 @@ class AttitudeControl:
 
     def input_rates(self, omega: Vector) -> None:
         """Turn the target with commanded body rates, FRD [rad/s]."""
-        if self._revision != self._parameters.revision:
-            self._tune()
         if self._feeds_forward:
             self._turn(omega)
         else:
@@ -111,8 +108,6 @@ class AttitudeControl:
             omega: commanded body rates on top, FRD [rad/s].
             slews: bound the yaw rate by ATC_SLEW_YAW.
         """
-        if self._revision != self._parameters.revision:
-            self._tune()
         gain, (p, q, r), (x, y, z) = self._input_gain, omega, to_vector(relative(self.target, attitude))
         along_x, along_y, along_z = self._limits
         r += square_root(z, gain, along_z)
@@ -131,8 +126,6 @@ class AttitudeControl:
             boosted: divide it by the cosine of the target's tilt, unless ATC_ANGLE_BOOST is 0.
             cutoff_hz: cutoff of the low-pass on the way to the rotors [Hz]; 0 for none.
         """
-        if self._revision != self._parameters.revision:
-            self._tune()
         if boosted and self._is_boosted:
             cosine = cos_tilt(self.target)
             throttle *= max(0.0, min(1.0, 10 * cosine)) / max(0.1, min(1.0, cosine))
@@ -146,8 +139,6 @@ class AttitudeControl:
             attitude: estimated attitude, unit quaternion w, x, y, z, NED from FRD.
             omega: estimated body rates, FRD [rad/s].
         """
-        if self._revision != self._parameters.revision:
-            self._tune()
         between = relative(attitude, self.target)
         (roll, pitch, yaw), ahead = to_vector(between), rotate(between, self.rates)
         errors = (roll, pitch, max(-_MAX_YAW_ERROR_RAD, min(_MAX_YAW_ERROR_RAD, yaw)))

@@ -127,11 +127,10 @@ class Estimator:
         self.origin: LatLonAlt | None = None
         self.motion = start
         self.is_settled = False
-        self._tune()
+        parameters.follow(self._tune)
 
     def _tune(self) -> None:
         p = self._parameters
-        self._revision = p.revision
         self._uses_mocap = p.whole("EK3_SRC1_POSXY") == EXTERNAL and p.whole("VISO_TYPE") != 0
         self._takes_mocap_height = self._uses_mocap and p.whole("EK3_SRC1_POSZ") == EXTERNAL
         self._has_receiver = p.whole("GPS1_TYPE") != 0
@@ -139,8 +138,6 @@ class Estimator:
     @property
     def uses_mocap(self) -> bool:
         """Return whether the horizontal position comes from external navigation."""
-        if self._revision != self._parameters.revision:
-            self._tune()
         return self._uses_mocap
 
     @property
@@ -148,8 +145,6 @@ class Estimator:
         """Return whether satellites are available."""
         if self.are_satellites_lost or self._time_s < _FIXED * self._options.boot_time_s:
             return False
-        if self._revision != self._parameters.revision:
-            self._tune()
         return self._has_receiver
 
     @property

@@ -191,9 +191,6 @@ class Parameters:
         table: names, types and defaults.
         derived: for names that the table does not hold, functions of the values in the table.
 
-    Attributes:
-        revision: number of changes, for what is computed from the values.
-
     Raises:
         UsageError: a name is unknown or a value is not finite.
     """
@@ -206,7 +203,7 @@ class Parameters:
         derived: Mapping[str, Callable[[Mapping[str, float]], float]] | None = None,
     ) -> None:
         self._table, self._derived = table, derived or {}
-        self.revision = 0
+        self._followers: list[Callable[[], None]] = []
         self._values = {name: float(default) for name, (_, default) in table.items()}
         self._derive()
         self._names = tuple(sorted(table))
@@ -263,9 +260,15 @@ class Parameters:
             limit = 2 ** (_BITS[kind] - 1)
             value = float(max(-limit, min(limit - 1, round(value))))
         self._values[name] = value
-        self.revision += 1
         self._derive()
+        for tune in self._followers:
+            tune()
         return True
+
+    def follow(self, tune: Callable[[], None]) -> None:
+        """Call a function now and after each change, which computes something from the values."""
+        self._followers.append(tune)
+        tune()
 
     def _derive(self) -> None:
         for name, value_of in self._derived.items():

@@ -26,10 +26,9 @@ class Pid:
         self._unit = unit
         self.integral = 0.0
         self._last: tuple[float, float, float] | None = None  # target, error, derivative, all filtered
-        self._tune()
+        parameters.follow(self._tune)
 
     def _tune(self) -> None:
-        self._revision = self._parameters.revision
         parts = ("P", "I", "D", "IMAX", "FLTT", "FLTE", "FLTD")
         names = [f"{self._name}_{part}" for part in parts]
         gains = [self._parameters.get(name, 0.0) for name in names]
@@ -45,8 +44,6 @@ class Pid:
         Args:
             held: the actuator is at its limit, so the integral must not grow.
         """
-        if self._revision != self._parameters.revision:
-            self._tune()
         p, i, d, most, of_target, of_error, of_derivative = self._gains
         if self._last is None:
             error, derivative = target - measured, 0.0

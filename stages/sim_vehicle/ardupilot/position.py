@@ -52,11 +52,10 @@ class PositionControl:
         self._leans_most = False
         self.yaw = 0.0
         self.yaw_rate = 0.0
-        self._tune()
+        parameters.follow(self._tune)
 
     def _tune(self) -> None:
         p = self._parameters
-        self._revision = p.revision
         self._hover = p["MOT_THST_HOVER"]
         self._top_level, self._top_up, self._top_down = (
             p[f"WPNAV_SPEED{way}"] / _CM for way in ("", "_UP", "_DN")
@@ -69,16 +68,6 @@ class PositionControl:
         self._level_error = largest_error(self._top_level, self._level_gain, self._level_limit)
         self._vertical_error = largest_error(self._top_up, self._vertical_gain, self._vertical_limit)
         self._most_level = self._gravity * math.tan(math.radians(p["PSC_ANGLE_MAX"] or p["ANGLE_MAX"] / 100))
-
-    def _advance_level(self) -> None:
-        if self._revision != self._parameters.revision:
-            self._tune()
-        self._level.advance()
-
-    def _advance_vertical(self) -> None:
-        if self._revision != self._parameters.revision:
-            self._tune()
-        self._vertical.advance()
 
     def rest(self, motion: Motion) -> None:
         """Start all loops from rest on the ground."""
@@ -97,8 +86,6 @@ class PositionControl:
 
     def reset_vertical(self, motion: Motion) -> None:
         """Start the vertical loop from the present climb rate and throttle."""
-        if self._revision != self._parameters.revision:
-            self._tune()
         limit = self._vertical_limit
         self._vertical.start(motion.position[2], motion.velocity[2])
         self._vertical.acceleration = max(-limit, min(limit, motion.acceleration[2]))
@@ -117,7 +104,7 @@ class PositionControl:
             down_m_s: velocity, downward [m/s].
             down_m_s2: acceleration, downward [m/s^2].
         """
-        self._advance_vertical()
+        self._vertical.advance()
         limit, jerk = self._vertical_limits()
         self._vertical.to_velocity(down_m_s, down_m_s2, limit, jerk)
         self._throttle(motion)
@@ -125,7 +112,7 @@ class PositionControl:
     def height(self, motion: Motion, down_m: float) -> None:
         """Command the throttle for a height, given as the NED coordinate [m]."""
         goes_up = down_m < self._vertical.position
-        self._advance_vertical()
+        self._vertical.advance()
         limit, jerk = self._vertical_limits()
         speed = self._top_up if goes_up else self._top_down
         self._vertical.to_position(down_m, 0.0, 0.0, speed, limit, jerk)
@@ -144,7 +131,7 @@ class PositionControl:
             velocity: north and east [m/s].
             ahead: acceleration added to it, north and east [m/s^2].
         """
-        self._advance_level()
+        self._level.advance()
         self._level.to_velocity(velocity, ahead, self._level_limit, self._level_jerk)
         self._lean(motion)
 
@@ -155,7 +142,7 @@ class PositionControl:
             position: north and east [m].
         """
         zero = (0.0, 0.0)
-        self._advance_level()
+        self._level.advance()
         self._level.to_position(position, zero, zero, max_m_s, self._level_limit, self._level_jerk)
         self._lean(motion)
 
@@ -177,8 +164,8 @@ class PositionControl:
             self.velocity(motion, velocity[:2], ahead[:2])
             self.follow_vertical(motion, velocity[2], ahead[2])
             return None, gained
-        self._advance_level()
-        self._advance_vertical()
+        self._level.advance()
+        self._vertical.advance()
         top, limit, jerk = self._top_level, self._level_limit, self._level_jerk
         self._level.to_position(position[:2], velocity[:2], ahead[:2], top, limit, jerk)
         speed = self._top_up if position[2] < self._vertical.position else self._top_down
@@ -190,8 +177,8 @@ class PositionControl:
 
     def accelerate(self, motion: Motion, acceleration: Vector) -> None:
         """Follow a stream of accelerations, NED [m/s^2]."""
-        self._advance_level()
-        self._advance_vertical()
+        self._level.advance()
+        self._vertical.advance()
         self._level.to_acceleration(acceleration[:2], self._level_jerk)
         self._vertical.to_acceleration(acceleration[2], self._vertical_limits()[1])
         self._lean(motion)
