@@ -13,8 +13,7 @@ from alula.schemas.errors import UsageError
 from alula.schemas.log.flights import read_flights
 from alula.schemas.log.run import RunRecord, read_run
 from alula.stages.simulation import simulate as stage
-from support.covers import with_manifest
-from support.small_scenes import box_cover, line_plan
+from support.small_scenes import box_cover, line_plan, with_vias
 
 ROOM = """
 schema = "alula/scenario"
@@ -79,7 +78,7 @@ WORDS = ["simulate", "room.toml", "-o", "r.run.mcap"]
 def here(tmp_path, monkeypatch) -> Path:
     cover = box_cover([((12, 3, 0), (15, 8, 25)), ((22, -8, 0), (25, -2, 25))])
     write_artifact(tmp_path / "room.cover.npz", cover)
-    plan = with_manifest(line_plan((0, 0, 1), (1.0, -0.4, 1.2), 3.0), via_m=[[0.5, 0.2, 1.1]])
+    plan = with_vias(line_plan((0, 0, 1), (1.0, -0.4, 1.2), 3.0), [[0.5, 0.2, 1.1]], 1.5)
     write_artifact(tmp_path / "way.plan.npz", plan)
     for name, text in (("room.toml", ROOM), ("wall.toml", WALL), ("plan.toml", PLAN)):
         (tmp_path / name).write_text(text)

@@ -6,8 +6,9 @@ import numpy as np
 
 from alula.schemas.artifacts.artifact import make_artifact
 from alula.schemas.artifacts.kinds import COVER, PLAN, SCENE
-from alula.schemas.artifacts.manifest import Guarantee, InputRef
+from alula.schemas.artifacts.manifest import Guarantee, InputRef, PlanPass
 from alula.stages.planning.rest_to_rest import rest_to_rest
+from support.covers import with_manifest
 
 G = 0.1  # voxel size [m]
 
@@ -71,6 +72,15 @@ def line_plan(start, end, duration_s=6.0, frame="world"):
         certificate={},
         beyond_map_m=100.0,  # the maps are a few obstacles
     )
+
+
+def with_vias(plan, points, time_s):
+    """The plan with points to pass, all at one time [s]."""
+    passes = [
+        PlanPass(kind="waypoint", number=number, time_s=time_s, point_m=point)
+        for number, point in enumerate(points, 1)
+    ]
+    return with_manifest(plan, via_m=points, passes=passes)
 
 
 def rest_plan(start, goal, speed_m_s, frame="world"):

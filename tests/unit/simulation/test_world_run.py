@@ -17,7 +17,7 @@ from alula.stages.simulation.simulate import simulate_world
 from alula.stages.simulation.summary import world_guarantee, world_summary, world_timing
 from support.covers import with_manifest
 from support.foreign_filters import Broken, Holding, Limiting, Passing, provide
-from support.small_scenes import ball_scene, box_cover, line_plan
+from support.small_scenes import ball_scene, box_cover, line_plan, with_vias
 
 WALL = ((15, -20, 0), (18, 20, 30))  # in voxels of 0.1 m
 COVER = box_cover([WALL])
@@ -378,7 +378,7 @@ def planned(via=(), plan=None, **tree):
         "world": {"cover": "x"},
         "mission": {"kind": "plan", "plan": "x", "beyond_map_m": 10.0},
     }
-    run = simulated(files={"plan": with_manifest(made, via_m=via), "cover": PILLARS}, **given | tree)
+    run = simulated(files={"plan": with_vias(made, via, 1.5), "cover": PILLARS}, **given | tree)
     return run.trials[0]
 
 
