@@ -184,7 +184,7 @@ def guarantee_of(mission: PlannedFlight, trial: TrialResult, new_plans: int = 0)
             "positions": "as measured by the vehicle",
             "radius_m": mission.world.vehicle.body.radius_m,
             "margin_m": mission.config.margin_m,
-            "inflation_m": mission.world.static.inflation_m["ellipsoids"],
+            "inflation_m": mission.world.static.inflation_m["ellipsoids" if mission.is_splat else "hulls"],
         },
     )
 
