@@ -272,6 +272,6 @@ def test_a_real_splat_becomes_a_report_and_a_rehearsal_without_a_question(
         assert found.summary["static_collisions"] == 0
     assert found.summary["trials"] == 5
     monkeypatch.chdir(folder)
-    (line,) = make(folder, "-n", "fly-rehearsal").stdout.partition("alula.cli ")[2].splitlines()[:1]
-    assert run(shlex.split(line)) == 0, capsys.readouterr().err
+    (flight,) = re.findall(r"-m alula\.cli (fly .*)", make(folder, "-n", "fly-rehearsal").stdout)
+    assert run(shlex.split(flight)) == 0, capsys.readouterr().err
     assert alula.read(folder / "out/rehearsal.run.mcap").summary["collisions"] == 0
