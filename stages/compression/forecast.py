@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alula import _core
-from alula.stages.compression.tiles import Ellipsoids, mark
+from alula.stages.compression.tiles import Ellipsoids, mark, tile_at
 
 TILE = 64  # voxels
 _TILES, _FEWEST = 160, 40  # numbers of tiles that are counted, at most and where ellipsoids overlap much
@@ -77,7 +77,7 @@ def may_exceed(ellipsoids: Ellipsoids, limit: int, jobs: int) -> bool:
     if most_voxels(coarse) > 64 * limit:  # the estimate is cheaper
         return True
     try:
-        return 64 * len(mark(coarse, jobs, None).index) > limit
+        return 64 * len(mark(coarse, jobs).index) > limit
     except OverflowError:
         return True
 
@@ -100,19 +100,13 @@ def estimated_voxels(ellipsoids: Ellipsoids) -> float:
     affordable = int(_MARKS * len(tile) / max(most_voxels(ellipsoids), 1.0))
     count = min(max(_FEWEST, min(_TILES, affordable)), len(tile))
     chosen = ((np.arange(count) + 0.5) * len(tile) / count).astype(int)
-    lowest, highest = np.iinfo(np.int32).min, np.iinfo(np.int32).max
     found = 0
     for at in chosen.tolist():
         mine = ellipsoids.part(row[start[at] : start[at + 1]])
-        lower = tile[at].astype(np.int64) * edge
-        corners = np.clip([lower, lower + edge - 1], lowest, highest).tolist()
         try:
-            index, *_ = _core.voxelize(
-                **mine.level(), tile=corners, min_overlap=ellipsoids.min_overlap, jobs=0
-            )
+            found += len(mark(mine, 0, tile=tile_at(tile[at].astype(np.int64) * edge, edge)).index)
         except OverflowError:
             return math.inf
-        found += len(index)
     return found * len(tile) / count
 
 

@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from alula.stages.compression.tiles import Box
-
-Corner = tuple[int, int, int]
+from alula.stages.compression.tiles import Box, Corner, Cube
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +28,7 @@ class Block:
     rows: tuple[tuple[int, int, int], ...]
 
     @property
-    def domain(self) -> tuple[Corner, Corner]:
+    def domain(self) -> Cube:
         """Lowest and highest voxel."""
         return self.lower, self.upper
 

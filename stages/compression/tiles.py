@@ -15,6 +15,8 @@ from alula.stages.distribute import distribute
 from alula.stages.progress import WHOLE, share
 
 Box = tuple[float, float, float, float, float, float]
+Corner = tuple[int, int, int]
+Cube = tuple[Corner, Corner]  # lowest and highest voxel
 Floats = NDArray[np.float32]
 
 LONGEST_EDGE = 2**20  # of a tile [voxels]
@@ -101,16 +103,29 @@ class _Chunk:
     edge: int
 
 
-def mark(ellipsoids: Ellipsoids, jobs: int, progress: Progress | None) -> Marked:
+def mark(
+    ellipsoids: Ellipsoids,
+    jobs: int,
+    progress: Progress | None = None,
+    tile: Cube | None = None,
+) -> Marked:
     """Mark all voxels in one pass.
+
+    Args:
+        tile: lowest and highest voxel of the cube in which voxels are marked; None for all of space.
 
     Raises:
         OverflowError: there are too many voxels or bricks.
     """
-    found = _core.voxelize(
-        **ellipsoids.level(), min_overlap=ellipsoids.min_overlap, jobs=jobs, progress=progress
-    )
-    return Marked(*found)
+    how: dict[str, Any] = {"min_overlap": ellipsoids.min_overlap, "jobs": jobs, "progress": progress}
+    return Marked(*_core.voxelize(**ellipsoids.level(), **how, tile=tile))
+
+
+def tile_at(lower: NDArray[np.int64], edge: int) -> Cube:
+    """Lowest and highest voxel of a tile, in the range of 32 bits."""
+    ends = np.iinfo(np.int32)
+    low, high = np.clip([lower, lower + edge - 1], ends.min, ends.max).tolist()
+    return (low[0], low[1], low[2]), (high[0], high[1], high[2])
 
 
 def mark_tiles(
@@ -177,21 +192,13 @@ def _chunks(
 
 def _mark_chunk(chunk: _Chunk) -> Marked:
     """Mark the voxels of the tiles of one chunk; `reach` has one entry per tile and ellipsoid."""
-    all_of = chunk.ellipsoids
-    parts, reach, below, max_overlap = [], [], 0, 0
-    lowest, highest = np.iinfo(np.int32).min, np.iinfo(np.int32).max
+    found = []
     for t, lower in enumerate(chunk.lower):
         rows = slice(int(chunk.start[t]), int(chunk.start[t + 1]))
-        mine = all_of.part(rows)
-        corners = np.clip([lower, lower + chunk.edge - 1], lowest, highest).tolist()
-        index, overlap, tile_reach, tile_below, tile_max = _core.voxelize(
-            **mine.level(), tile=corners, min_overlap=all_of.min_overlap, jobs=1
-        )
-        parts.append((index, overlap))
-        reach.append(tile_reach)
-        below, max_overlap = below + tile_below, max(max_overlap, tile_max)
-    index, overlap = joined_tiles(parts)
-    return Marked(index, overlap, np.concatenate(reach), below, max_overlap)
+        found.append(mark(chunk.ellipsoids.part(rows), 1, tile=tile_at(lower, chunk.edge)))
+    index, overlap = joined_tiles([(one.index, one.overlap) for one in found])
+    below, most = sum(one.below for one in found), max(one.max_overlap for one in found)
+    return Marked(index, overlap, np.concatenate([one.reach for one in found]), below, most)
 
 
 def joined_tiles(

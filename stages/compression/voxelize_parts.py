@@ -24,8 +24,8 @@ from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
 from alula.schemas.progress import Progress
 from alula.stages.compression.ellipsoids import retained
 from alula.stages.compression.forecast import estimated_voxels, largest_volume, may_exceed
-from alula.stages.compression.lattice_blocks import Block, Corner, Tally, along_a_curve, crop_of, figures_of
-from alula.stages.compression.tiles import Ellipsoids, joined_tiles
+from alula.stages.compression.lattice_blocks import Block, Tally, along_a_curve, crop_of, figures_of
+from alula.stages.compression.tiles import Corner, Ellipsoids, Marked, joined_tiles, mark, tile_at
 from alula.stages.compression.voxelize import (
     SURE,
     check_some,
@@ -55,7 +55,6 @@ class _Work:
     jobs: int
 
 
-_Marked = tuple[Block, NDArray[np.int32], NDArray[np.uint32], NDArray[np.uint8], int, int]
 _RowsOf = list[tuple[int, int, int]]  # see `Block.rows`
 
 
@@ -125,11 +124,9 @@ class BlockVoxelizer:
                 progress(number + 1, len(self._scene))
         if tally.retained == 0:
             raise InfeasibleError(f"no Gaussian has an opacity of at least {exact(config.min_opacity)}")
-        lowest, highest = np.iinfo(np.int32).min, np.iinfo(np.int32).max
         cubes = []
         for edge, corner, rows_of in self._divided(found):
-            ends = np.clip([[c * edge, (c + 1) * edge - 1] for c in corner], lowest, highest).T.tolist()
-            cubes.append((tuple(ends[0]), tuple(ends[1]), tuple(rows_of)))
+            cubes.append((*tile_at(np.array(corner, np.int64) * edge, edge), tuple(rows_of)))
         return [Block(number, *cube) for number, cube in enumerate(sorted(cubes))]
 
     def _divided(self, found: dict[Corner, _RowsOf]) -> Iterator[tuple[int, Corner, _RowsOf]]:
@@ -226,12 +223,12 @@ class BlockVoxelizer:
             if scheduler is None
             else distribute(_mark_block, work, scheduler=scheduler)
         )
-        for done, (block, index, overlap, reach, below, max_overlap) in enumerate(results):
-            if below < 0 or len(index) > self.config.max_voxels:
-                raise self._too_many(block, _core.MAX_VOXELS if below < 0 else len(index))
-            self.tally.max_overlap = max(self.tally.max_overlap, max_overlap)
-            self._note_reach(block, reach)
-            yield block, index, overlap, below
+        for done, (block, found) in enumerate(results):
+            if found is None or len(found.index) > self.config.max_voxels:
+                raise self._too_many(block, _core.MAX_VOXELS if found is None else len(found.index))
+            self.tally.max_overlap = max(self.tally.max_overlap, found.max_overlap)
+            self._note_reach(block, found.reach)
+            yield block, found.index, found.overlap, found.below
             if progress is not None:
                 progress(done + 1, len(blocks))
 
@@ -383,17 +380,9 @@ def voxelize_whole(
     )
 
 
-def _mark_block(work: _Work) -> _Marked:
-    """Mark the voxels of a block; `below` is -1 where there are too many."""
-    block, mine = work.block, work.ellipsoids
+def _mark_block(work: _Work) -> tuple[Block, Marked | None]:
+    """Mark the voxels of a block; None where there are too many."""
     try:
-        found = _core.voxelize(
-            **mine.level(),
-            tile=(list(block.lower), list(block.upper)),
-            min_overlap=mine.min_overlap,
-            jobs=work.jobs,
-        )
+        return work.block, mark(work.ellipsoids, work.jobs, tile=work.block.domain)
     except OverflowError:
-        return block, np.zeros((0, 3), np.int32), np.zeros(0, np.uint32), np.zeros(0, np.uint8), -1, 0
-    index, overlap, reach, below, max_overlap = found
-    return block, index, overlap, reach, below, max_overlap
+        return work.block, None

@@ -1,7 +1,6 @@
 """The number of voxels is known before the work: estimates, remedies, and Gaussians that dominate."""
 
 import re
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -189,11 +188,8 @@ def test_balls_that_overlap_much_are_estimated_from_fewer_tiles(monkeypatch):
         min_overlap=1,
     )
     counted = []
-    native = forecast._core
-    spy = SimpleNamespace(
-        tiles_of=native.tiles_of, voxelize=lambda **given: counted.append(1) or native.voxelize(**given)
-    )
-    monkeypatch.setattr(forecast, "_core", spy)
+    mark = forecast.mark
+    monkeypatch.setattr(forecast, "mark", lambda *a, **named: counted.append(1) or mark(*a, **named))
     found = forecast.estimated_voxels(balls)
     assert len(counted) == 40
     assert found == pytest.approx(4 / 3 * np.pi * 203**3, rel=0.35)
