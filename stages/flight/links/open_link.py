@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any
 
 from alula.schemas.errors import UsageError
 from alula.schemas.extras import EXTRAS, missing
-from alula.stages.flight.links.addresses import Address, check_address, parse_address
+from alula.stages.flight.links.addresses import check_address, parse_address
 from alula.stages.flight.links.options import LinkOptions
 from alula.stages.flight.links.protocol import Link
 
 ENTRY_POINTS = "alula.links"
-LinkFactory = Callable[[Address, LinkOptions], Link]
 
 _LINKS = "alula.stages.flight.links"
 _MAVLINK = f"{_LINKS}.mavlink.link:make_link"

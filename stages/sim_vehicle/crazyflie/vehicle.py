@@ -37,7 +37,6 @@ from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint
 from alula.stages.vehicles.simulated_body import STEP_S, Body
 
 PROTOCOL = 12
-BASE_PORT = 19850  # UDP port that clients scan first
 
 _CONSOLE, _PARAMETERS, _RPYT, _MEMORY, _LOGS, _LOCALIZATION = 0, 2, 3, 4, 5, 6
 _SETPOINTS, _HIGH_LEVEL, _SUPERVISOR, _PLATFORM, _LINK = 7, 8, 9, 13, 15
@@ -92,7 +91,6 @@ class SimulatedCrazyflie:
         self.setpoint: Setpoint = OFF
         self.time_s = 0.0
         self.setpoints = 0
-        self._hover_m_s2 = vehicle.body.gravity_m_s2
         self._setpoint_s, self._priority = 0.0, _PRIORITY_NONE
         self._plan_due_s = self._mocap_due_s = 0.0
         self._yaw = options.yaw_rad
