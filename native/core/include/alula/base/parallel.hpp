@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <atomic>
-#include <chrono>
 #include <condition_variable>
 #include <cstddef>
 #include <cstdint>
@@ -37,6 +36,11 @@ class Stop {
   const std::atomic<bool>& flag_;
 };
 
+// Calls `call(body, begin, end, stop)` for chunks: parallel_chunks, with its type of body erased, so that the loop is
+// compiled once.
+void run_chunks(std::size_t count, std::size_t chunk, unsigned jobs, Control& control,
+                void (*call)(void* body, std::size_t begin, std::size_t end, const Stop& stop), void* body);
+
 // Calls body(begin, end) or body(begin, end, stop) for chunks that partition [0, count). A body that may take longer
 // than about 0.1 s calls `stop.check()` at least that often. Chunks are the same for every
 // number of threads, so a body that writes only to slots of its own items (or its own chunk,
@@ -44,56 +48,16 @@ class Stop {
 // an exception from a body or from `control` stops the remaining chunks and is rethrown.
 template <class Body>
 void parallel_chunks(std::size_t count, std::size_t chunk, unsigned jobs, Control& control, Body&& body) {
-  chunk = std::max<std::size_t>(chunk, 1);
-  const std::size_t chunks = (count + chunk - 1) / chunk;
-  const unsigned threads = static_cast<unsigned>(std::min<std::size_t>(resolve_jobs(jobs), chunks));
-  if (chunks == 0) return;
-  std::atomic<std::size_t> next{0}, done{0};
-  std::atomic<bool> stop{false};
-  const Stop stopper(stop);
-  std::exception_ptr failure;
-  std::mutex mutex;
-  std::condition_variable finished;
-  unsigned running = threads;
-
-  auto worker = [&] {
-    try {
-      for (std::size_t c = next++; c < chunks && !stop; c = next++) {
-        const std::size_t begin = c * chunk, end = std::min(count, begin + chunk);
-        if constexpr (std::is_invocable_v<Body&, std::size_t, std::size_t, const Stop&>)
-          body(begin, end, stopper);
+  using Plain = std::remove_reference_t<Body>;
+  run_chunks(
+      count, chunk, jobs, control,
+      [](void* that, std::size_t begin, std::size_t end, const Stop& stop) {
+        if constexpr (std::is_invocable_v<Plain&, std::size_t, std::size_t, const Stop&>)
+          (*static_cast<Plain*>(that))(begin, end, stop);
         else
-          body(begin, end);
-        ++done;
-      }
-    } catch (...) {
-      const std::lock_guard lock(mutex);
-      if (!failure) failure = std::current_exception();
-      stop = true;
-    }
-    const std::lock_guard lock(mutex);
-    if (--running == 0) finished.notify_all();
-  };
-
-  std::vector<std::jthread> pool;
-  pool.reserve(threads);
-  for (unsigned t = 0; t < threads; ++t) pool.emplace_back(worker);
-  std::unique_lock lock(mutex);
-  while (!finished.wait_for(lock, std::chrono::milliseconds(50), [&] { return running == 0; })) {
-    lock.unlock();
-    try {
-      control.poll(done * chunk > count ? count : done * chunk, count);
-      lock.lock();
-    } catch (...) {
-      lock.lock();
-      if (!failure) failure = std::current_exception();
-      stop = true;
-    }
-  }
-  lock.unlock();
-  pool.clear();
-  if (failure) std::rethrow_exception(failure);
-  control.poll(count, count);
+          (*static_cast<Plain*>(that))(begin, end);
+      },
+      const_cast<void*>(static_cast<const void*>(&body)));
 }
 
 // A pool of threads for many small batches of work, as in loops with steps that depend on each other.
