@@ -173,7 +173,7 @@ def _page_inputs(files: Sequence[Path]) -> Mapping[str, Path]:
 
 def _composer(shown: Shown, config: ViewConfig) -> Callable[[int], Content]:
     """Function from a number of Gaussians to the content."""
-    from alula.stages.show.viewing.compose import content_of
+    from alula.stages.show.viewing.compose import composer
 
     chosen = None
     if config.flight:
@@ -186,7 +186,7 @@ def _composer(shown: Shown, config: ViewConfig) -> Callable[[int], Content]:
         for index in config.flight:
             if not any(index in run.flights for run in shown.runs):
                 raise UsageError(f"--flight {index}: no log has the samples of that flight")
-    return lambda most: content_of(shown, most_gaussians=most, flights=chosen, up=config.up)
+    return composer(shown, flights=chosen, up=config.up)
 
 
 def _summary(content: Content) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -73,16 +73,15 @@ class Shown:
     trees: dict[float, EllipsoidSet] = field(default_factory=dict)
 
 
-def content_of(
+def composer(
     shown: Shown,
     *,
-    most_gaussians: int = MOST_GAUSSIANS,
     flights: Collection[tuple[int, int]] | None = None,
     most_played_s: float = MOST_PLAYED_S,
     first: Collection[tuple[int, int]] = (),
     up: str = "+z",
-) -> Content:
-    """Make the content of a view.
+) -> Callable[[int], Content]:
+    """Return what makes the content of a view with at most so many Gaussians; all else is made once.
 
     Args:
         flights: those to play, as (run, trial); None for the worst ones of each run, up to `most_played_s`.
@@ -96,9 +95,6 @@ def content_of(
     cut = find_cut(matter, flown) if up == "+z" else None
     parts: list[Part] = []
     total = sum(len(scene["mean"]) for _, scene in shown.scenes)
-    for name, scene in shown.scenes:
-        own = len(scene["mean"]) * most_gaussians // max(total, most_gaussians, 1)
-        parts += _splat_parts(_named("Splat", name, shown.scenes), scene, cut, own, notes)
     for name, each in solids:
         parts += _hull_parts(name, each, cut, notes, has_splat=bool(shown.scenes))
     for logged in shown.maps.values():
@@ -113,8 +109,6 @@ def content_of(
     parts += _fence_parts(shown)
     parts += path_parts(shown.runs)
     plays = _plays(shown, flights, most_played_s, first)
-    if any(part.name.startswith(f"{CUT}/") for part in parts):
-        notes.append("ceiling and near walls are hidden at first")
     outcomes = dict.fromkeys(
         part.name.split("/")[1].rpartition(" (")[0] for part in parts if part.name.startswith("Flights/")
     )
@@ -122,15 +116,31 @@ def content_of(
     legend |= {"plan": hex_of(PLAN_COLOR)} if shown.plans else {}
     legend |= {"new plan": hex_of(NEW_PLAN_COLOR)} if any(play.plans for play in plays) else {}
     legend |= {"obstacle that decides": hex_of(DECIDES_COLOR)} if any(play.decides for play in plays) else {}
-    return Content(
-        title=shown.title,
-        parts=tuple(_distinct(parts)),
-        camera=fitted(matter, flown, up),
-        plays=tuple(plays),
-        legend=legend,
-        notes=tuple(notes),
-        up=up,
-    )
+    camera = fitted(matter, flown, up)
+
+    def compose(most_gaussians: int) -> Content:
+        said: list[str] = []
+        splats: list[Part] = []
+        for name, scene in shown.scenes:
+            own = len(scene["mean"]) * most_gaussians // max(total, most_gaussians, 1)
+            splats += _splat_parts(_named("Splat", name, shown.scenes), scene, cut, own, said)
+        is_cut = any(part.name.startswith(f"{CUT}/") for part in (*splats, *parts))
+        return Content(
+            title=shown.title,
+            parts=tuple(_distinct([*splats, *parts])),
+            camera=camera,
+            plays=tuple(plays),
+            legend=legend,
+            notes=(*said, *notes, *(["ceiling and near walls are hidden at first"] if is_cut else [])),
+            up=up,
+        )
+
+    return compose
+
+
+def content_of(shown: Shown, *, most_gaussians: int = MOST_GAUSSIANS, **fields: Any) -> Content:
+    """Make the content of a view with at most so many Gaussians; `fields` are those of `composer`."""
+    return composer(shown, **fields)(most_gaussians)
 
 
 def _distinct(parts: Iterable[Part]) -> list[Part]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from alula.stages.reporting.flight_curves import MOST_RUNS, closest_flight
 from alula.stages.reporting.material import Material, flew_through
 from alula.stages.reporting.page import View
-from alula.stages.show.viewing.compose import Shown, content_of
+from alula.stages.show.viewing.compose import Shown, composer
 from alula.stages.show.viewing.page import within
 
 _MOST_BYTES = 6_000_000  # the rest of a report takes up to two million
@@ -32,9 +32,6 @@ def view(material: Material) -> View | None:
     )
     closest = [(number, closest_flight(run)) for number, run in enumerate(runs[:MOST_RUNS])]
     first = [(number, found[0]) for number, found in closest if found is not None]
-    html, content = within(
-        lambda most: content_of(shown, most_gaussians=most, most_played_s=_MOST_PLAYED_S, first=first),
-        maximum=_MOST_BYTES,
-    )
+    html, content = within(composer(shown, most_played_s=_MOST_PLAYED_S, first=first), maximum=_MOST_BYTES)
     notes = "; ".join(content.notes)
     return View(html, f"{notes[0].upper()}{notes[1:]}." if notes else "")
