@@ -96,7 +96,7 @@ def test_a_reader_that_lacks_outer_polytopes_refuses_them(folder, monkeypatch, c
     assert run(["merge", "v.voxels.npz", "-o", "c.cover.npz", "--hulls", "5", "--facet-cap", "9", "-q"]) == 0
     assert run(["info", "c.cover.npz"]) == 0
     assert "outer" in capsys.readouterr().out
-    monkeypatch.setattr("alula.schemas.artifacts.artifact.FEATURES", frozenset())
+    monkeypatch.setattr("alula.schemas.artifacts.manifest.FEATURES", frozenset())
     assert run(["verify", "c.cover.npz"]) == 3
     assert "needs outer-polytopes" in capsys.readouterr().err
 

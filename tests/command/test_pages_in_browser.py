@@ -128,7 +128,7 @@ def test_a_view_shows_its_scene_and_its_flight(name, folder, browser):
         dark = shown.scene()
         assert shown.fits()
         ink = frame.evaluate("getComputedStyle(document.getElementById('alula')).getPropertyValue('--ink')")
-        assert ink.strip() == "#e8ecf1"
+        assert ink.strip() == "#e4e8ed"
     assert np.percentile(light, 90) > 200
     assert np.percentile(dark, 10) < 60
 

@@ -97,8 +97,8 @@ def test_a_verdict_on_a_part_of_the_scene_says_so(level, words):
     assert found.statement.endswith(f"; not included: {words}, 3 Gaussians removed by max_scale")
     assert found.omits == [words]
     assert coverage(msgspec.to_builtins(found)) == "in part"
-    older = {key: value for key, value in msgspec.to_builtins(found).items() if key != "omits"}
-    assert coverage(older) == "in part"
+    silent = {key: value for key, value in msgspec.to_builtins(found).items() if key != "omits"}
+    assert coverage(silent) == "in part"
 
 
 def test_the_verdict_on_an_onboard_map_says_so_too():

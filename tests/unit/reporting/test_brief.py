@@ -92,6 +92,7 @@ def test_a_map_is_covered_only_by_a_certificate():
         "covered": True,
         "checks": [{"name": "every ellipsoid lies in the voxels"}],
         "level": {"sigma": 2.0},
+        "omits": [],
     }
     found = brief(Material("t", cover=COVER, certificate=proven))
     assert (found.verdict, found.tone) == ("The map covers the scan: checked again, and proven.", "good")
