@@ -387,6 +387,7 @@ def test_clones_agree_and_options_that_mean_nothing_are_refused():
         {"max_acceleration": -1.0},
         {"clf_weight": -1.0},
         {"clf_kp": 0.0},
+        *({name: bad} for name in ("alpha", "min_speed", "clf_kp") for bad in (np.inf, np.nan, -1.0)),
     ):
         with pytest.raises(ValueError, match=r"must be"):
             _core.ConeDi(index, _core.ConeDiOptions(**wrong))
