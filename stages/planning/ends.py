@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,15 +59,15 @@ def ends_of(config: PlanConfig, space: PlanSpace, cover: Artifact, *, jobs: int 
     is_good = open_above & (drop >= low) & (drop <= high)
     ground = points[:, 2] - drop
 
-    def rank(pair: tuple[int, int]) -> tuple[int, bool, float]:
-        a, b = pair
-        poor = int(~is_good[a]) + int(~is_good[b]) + 2 * (drop[a] == 0)
-        uneven = abs(float(ground[a] - ground[b])) > _LEVEL_M
-        return poor, uneven, -float(np.linalg.norm((points[a] - points[b])[:2]))
-
-    pairs = sorted(itertools.permutations(range(len(points)), 2), key=rank)
+    first, second = np.nonzero(~np.eye(len(points), dtype=bool))
+    poor = (~is_good).astype(int)
+    away = points[first, :2] - points[second, :2]
+    distance = np.sqrt(away[:, None, :] @ away[:, :, None])[:, 0, 0]
+    uneven = np.abs(ground[first] - ground[second]) > _LEVEL_M
+    worse = poor[first] + poor[second] + 2 * (drop[first] == 0)
+    best = np.lexsort((-distance, uneven, worse))[:_TRIES]
     failure: InfeasibleError | None = None
-    for a, b in pairs[:_TRIES]:
+    for a, b in zip(first[best], second[best], strict=True):
         start, goal = _point(points[a]), _point(points[b])
         try:
             plan(dataclasses.replace(config, start=start, goal=goal), cover, space=space, jobs=jobs)
