@@ -28,7 +28,7 @@ endif
 # Without its compiled modules every program that tests start, and every worker, compiles them anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test test-all test-realtime setup firmware lint format typecheck typing-view test-native native-address native-thread onboard fuzz attack test-wheel test-core wheel wheels examples papers bench bench-installation bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment bench-fly bench-autopilots bench-faults bench-plan bench-world bench-pages docs man schemas lock clean
+.PHONY: help demo test test-all test-realtime setup firmware lint format typecheck typing-view test-native native-address native-thread native-fuzz onboard fuzz attack test-wheel test-core wheel wheels examples papers bench bench-installation bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment bench-fly bench-autopilots bench-faults bench-plan bench-world bench-pages docs man schemas lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -100,14 +100,13 @@ typecheck: typing-view ## check types, strictly
 	$(BIN)/mypy -p alula -p papers
 
 test-native: setup ## build the native tests with sanitizers and run them, and fuzz for 20 s where clang can
-	@$(MAKE) --no-print-directory -j2 native-address native-thread
-	.ci/fixed-addresses $(BIN)/python -P tests/support/fuzz_onboard.py --seconds 20
+	@$(MAKE) --no-print-directory -j2 native-address native-fuzz
 
-# $(call sanitized,sanitizers,folder,tests)
+# $(call sanitized,sanitizers,folder,tests): two at a time, on all processors each, which the longer one takes over.
 define sanitized
 	@$(BIN)/cmake -S . -B build/$(2) -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(BIN)/ninja \
 	  -DALULA_PYTHON=OFF -DALULA_TESTS=ON -DALULA_SANITIZE=$(1) >/dev/null
-	@$(BIN)/cmake --build build/$(2) -j$$(( ($$(nproc) + 1) / 2 )) --target $(3)
+	@$(BIN)/cmake --build build/$(2) -j$$(nproc) --target $(3)
 	@.ci/fixed-addresses $(BIN)/ctest --test-dir build/$(2) --output-on-failure -j$$(nproc) \
 	  -R '^($(subst $(space),|,$(3)))$$'
 endef
@@ -117,6 +116,9 @@ native-address:
 
 native-thread:
 	$(call sanitized,thread,native-thread,$(filter-out $(UNTHREADED:%=%_test),$(NATIVE_TESTS)))
+
+native-fuzz: native-thread # the shorter of the two
+	.ci/fixed-addresses $(BIN)/python -P tests/support/fuzz_onboard.py --seconds 20
 
 onboard: setup ## run the filters on emulated microcontrollers: the host's bits, instructions, sizes, stacks
 	.ci/system-packages --onboard
