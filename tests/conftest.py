@@ -19,6 +19,8 @@ if "PYTEST_XDIST_WORKER" in os.environ:  # each has a processor; threads of nump
 for name in ("MAKEFLAGS", "MAKELEVEL", "MFLAGS"):  # `make test` runs tests that run make
     os.environ.pop(name, None)
 
+os.fsync = os.fstat  # no test cuts the power, and thousands of files would wait for the disk
+
 # Background jobs ignore Ctrl-C, and hand that on to every process that a test starts and interrupts.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
