@@ -137,6 +137,7 @@ class Supervisor(msgspec.Struct, kw_only=True, omit_defaults=True, gc=False):
     state_age_s: float | None = None
     late_s: float | None = None
     tick_s: float | None = None
+    slip_m: float | None = None
     fence_m: float | None = None
     fence_h_m: float | None = None
     fence_share: float | None = None
@@ -150,14 +151,16 @@ class Replay(msgspec.Struct, kw_only=True, gc=False):
     """Inputs and set-points of each tick of a real flight, not rounded:
 
     the native flight repeats it bit by bit: the number of the tick since set-points began, the ticks left out
-    before it; the age of the measured state (position, attitude as MRP, velocity, body rates); the reference
-    (position to snap, yaw and its rates); the set-point decided, whether it was sent so, and the one sent.
+    before it; the age of the measured state (position, attitude as MRP, velocity, body rates), and its slip,
+    which older logs lack; the reference (position to snap, yaw and its rates); the set-point decided, whether
+    it was sent so, and the one sent.
     """
 
     time_s: float
     number: int
     repeats: int
     age_s: float
+    slip_m: float = 0.0
     measured: tuple[float, ...]
     target: tuple[float, ...]
     decided: str

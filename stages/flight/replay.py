@@ -50,7 +50,12 @@ def replay(log: Path, commander: FlightCommander) -> Replayed:
             for _ in range(tick.repeats):
                 commander.sent(sent)
         inputs = TickInputs(
-            np.array(tick.measured), tick.age_s, np.array(tick.target), tick.number, tick.repeats
+            np.array(tick.measured),
+            tick.age_s,
+            tick.slip_m,
+            np.array(tick.target),
+            tick.number,
+            tick.repeats,
         )
         decision = commander.step(inputs)
         ticks, next_number = ticks + 1, tick.number + 1

@@ -105,7 +105,7 @@ class StepFlight:
     def sent(self, setpoint: Setpoint) -> None:
         """See `Commander`."""
 
-    def decide(self, state: VehicleState, age_s: float, target: FloatArray) -> Decision:
+    def decide(self, state: VehicleState, age_s: float, target: FloatArray, slip_m: float = 0.0) -> Decision:
         """See `Commander`; a target other than its own is a hold.
 
         Args:

@@ -3303,10 +3303,11 @@ class Flight:
 
     def __init__(self, vehicle: VehicleSpec, options: FlightOptions, mission: Mission, filters: Sequence[SafetyFilter]) -> None: ...
 
-    def observe(self, now_s: float, measured: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)] | None, *, tracks: bytes = ..., position_variance: Sequence[float] = [0.0, 0.0, 0.0], sticks: Sequence[float] | None = None, target: Annotated[NDArray[numpy.float64], dict(shape=(18), order='C', device='cpu', writable=False)] | None = None, age_s: float | None = None) -> None:
+    def observe(self, now_s: float, measured: Annotated[NDArray[numpy.float64], dict(shape=(12), order='C', device='cpu', writable=False)] | None, *, tracks: bytes = ..., position_variance: Sequence[float] = [0.0, 0.0, 0.0], sticks: Sequence[float] | None = None, target: Annotated[NDArray[numpy.float64], dict(shape=(18), order='C', device='cpu', writable=False)] | None = None, age_s: float | None = None, slip_m: float = 0.0) -> None:
         """
         The newest measurement (p, sigma, v, omega), or None; `tracks` as `simulate` returns them; `target` as
-        of ReferenceCurve.at; age_s of the measurement, in place of the assumed delay [s].
+        of ReferenceCurve.at; age_s of the measurement, in place of the assumed delay [s]; `slip_m`, by which position
+        and integrated velocity differ, which margins grow by.
         """
 
     def reset(self) -> None:

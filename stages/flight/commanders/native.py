@@ -53,7 +53,7 @@ class FlightCommander:
         self.flight.reset()
         self._ticks, self._times, self._decided = 0, 0, None
 
-    def decide(self, state: VehicleState, age_s: float, target: FloatArray) -> Decision:
+    def decide(self, state: VehicleState, age_s: float, target: FloatArray, slip_m: float = 0.0) -> Decision:
         """See `Commander`."""
         measured = np.concatenate(
             [state.position, _mrp(state.attitude_wxyz), state.velocity, state.omega], dtype=np.float64
@@ -62,6 +62,7 @@ class FlightCommander:
             TickInputs(
                 measured=measured,
                 age_s=age_s + max(self.delay_s, state.latency_s),
+                slip_m=slip_m,
                 target=np.array(target[0], np.float64),
                 number=self._ticks,
                 repeats=max(0, self._times - 1),
@@ -73,7 +74,9 @@ class FlightCommander:
         self._decided, self._times = None, 0
         now_s = self._ticks * self.dt_s
         self._ticks += 1
-        self.flight.observe(now_s, inputs.measured, target=inputs.target, age_s=inputs.age_s)
+        self.flight.observe(
+            now_s, inputs.measured, target=inputs.target, age_s=inputs.age_s, slip_m=inputs.slip_m
+        )
         found = self.flight.decide()
         estimate, nominal = found["estimate"], found["nominal"]
         is_velocity = self.setpoint is VelocitySetpoint

@@ -18,6 +18,7 @@ class TickInputs:
     Attributes:
         measured: position, attitude (MRP), velocity and body rates, shape (12,), world frame, SI units.
         age_s: age of these, with the latency of the link [s].
+        slip_m: see `Commander.decide`.
         target: reference, shape (18,), see `Commander.decide`.
         number: of the tick since the flight was reset; 0 right after that.
         repeats: ticks before this one that were left out, in which the vehicle kept the last set-point.
@@ -25,6 +26,7 @@ class TickInputs:
 
     measured: FloatArray
     age_s: float
+    slip_m: float
     target: FloatArray
     number: int
     repeats: int
@@ -46,7 +48,7 @@ class Decision:
         disturbance: estimated acceleration that the model leaves out, shape (3,), world frame [m/s^2]; None
             if it is not estimated.
         disturbance_bound: bound on what the estimate does not contain yet [m/s^2].
-        added_margin_m: what the filter's margin grows by because of that bound [m].
+        added_margin_m: what the filter's margin grows by because of that bound and of the slip [m].
     """
 
     setpoint: Setpoint | None
@@ -77,11 +79,12 @@ class Commander(Protocol):
         """Forget what was flown; called before the first set-point and after each hold."""
         ...
 
-    def decide(self, state: VehicleState, age_s: float, target: FloatArray) -> Decision:
+    def decide(self, state: VehicleState, age_s: float, target: FloatArray, slip_m: float = 0.0) -> Decision:
         """Compute the set-point of a tick.
 
         Args:
             target: reference, a row of `ReferenceCurve.at`, shape (1, 18), world frame.
+            slip_m: distance by which position and velocity contradict each other, see `SlipWatch` [m].
         """
         ...
 

@@ -41,7 +41,14 @@ from alula.stages.flight.loop.supervisor import (
     begun,
     sends_setpoints,
 )
-from alula.stages.flight.loop.watches import HealthWatch, JumpWatch, ModelWatch, ModeWatch, PositionWatch
+from alula.stages.flight.loop.watches import (
+    HealthWatch,
+    JumpWatch,
+    ModelWatch,
+    ModeWatch,
+    PositionWatch,
+    SlipWatch,
+)
 from alula.stages.flight.recorder.samples import (
     Flown,
     Recorder,
@@ -57,6 +64,7 @@ from alula.stages.vehicles.setpoints import Setpoint, VelocitySetpoint
 _FALLBACKS = frozenset({FilterStatus.RECOVERING, FilterStatus.BACKUP})
 _TOLD_LATE = frozenset({Event.FAILSAFE, Event.FAILSAFE_IDLE, Event.DISARMED})  # the vehicle gives the reason
 _WATCHED = frozenset({State.TAKE_OFF, State.FLY, State.HOLD, State.LAND})
+_CREEP_M = 0.05  # on the ground, which is worth a line
 _EMERGENCY_S = 1.0  # for the order to land when the loop itself fails
 
 
@@ -152,6 +160,7 @@ class ControlLoop:
         self._crash = CrashWatch()
         self._model = ModelWatch(options.velocity_lag_s, options.max_speed_m_s, options.max_disturbance_m_s2)
         self._motion, self._jumps, self._jump_m = MotionCheck(), JumpWatch(), 0.0
+        self._slips, self._slip_m, self._free_m = SlipWatch(), 0.0, math.inf
         self._ground_m: float | None = None
         self._filter = FilterHealth.GOOD
         self._fallback_from_s, self._overruns = math.inf, 0
@@ -300,6 +309,8 @@ class ControlLoop:
             self.checks.look(self.link, now_s, late_s, partial(self.say, now_s))
         self._observe_distances(state)
         self._jump_m = 0.0 if state is None else self._jumps.jump_m(state)
+        if state is not None and (phase is State.ARMING or phase in _WATCHED):
+            self._slip_m = self._slips.slip_m(state, is_resting=phase is State.ARMING)
         if state is not None and phase in (State.TAKE_OFF, State.FLY, State.HOLD, State.LAND):
             self._watch_crash(state, phase)
         if state is not None and self.options.watch_frame and phase in (State.TAKE_OFF, State.FLY):
@@ -335,6 +346,8 @@ class ControlLoop:
             now_s=now_s,
             state_age_s=math.inf if state is None else state.age_s(now_s),
             jump_m=self._jump_m,
+            slip_m=self._slip_m,
+            free_m=self._free_m,
             silence_s=silence,
             armed=status.armed,
             landed=status.landed,
@@ -404,6 +417,12 @@ class ControlLoop:
             return self._crash.words
         if taken.event is Event.MODEL_WRONG:
             return self._model.words
+        if taken.event is Event.SLIPS:
+            room = "" if math.isinf(self._free_m) else f", {max(0.0, self._free_m):.2f} m from obstacles"
+            return f"by {self._slip_m:.2f} m{room}"
+        if taken.event is Event.OFF_CLIMB:
+            room_m = self.checks.room_m
+            return f"by {self._off_climb_m + room_m:.2f} m, of which {room_m:.2f} m are proven clear"
         if taken.event is Event.PARAMETER_CHANGED:
             return self.link.status.changed
         if taken.event is Event.ESTIMATOR_BAD:
@@ -441,6 +460,11 @@ class ControlLoop:
         elif action is Action.TAKE_OFF:
             if self._ground_m is None:
                 raise LinkError("the vehicle has not reported its position on the ground")
+            crept_m = math.nan if state is None else self._positions.crept_m(state)
+            if crept_m > _CREEP_M:
+                self.say(
+                    now_s, WARNING, f"its position moved by {crept_m:.2f} m on the ground since the checks"
+                )
             self._order(Order.TAKE_OFF, now_s, self._start_height_m - self._ground_m)
         elif action is Action.ENGAGE:
             self._hold_row = None
@@ -493,7 +517,7 @@ class ControlLoop:
         age, before = max(0.0, now_s - state.received_s), self._clock()
         try:
             target = self.plan.target() if self._hold_row is None else self._hold_row
-            decision = self.commander.decide(state, age, target)
+            decision = self.commander.decide(state, age, target, self._slip_m)
             filter_s = self._clock() - before
             if not math.isfinite(decision.error_m):
                 raise ArithmeticError("the distance from the plan is not a number")
@@ -515,6 +539,8 @@ class ControlLoop:
             self.say(now_s, ERROR, f"no set-point: {type(error).__name__}: {error}")
             return None
         self.counters.filter_s.append(filter_s)
+        if self.commander.setpoint is VelocitySetpoint:  # of others the margin is no distance
+            self._free_m = decision.margin + self.options.margin_m
         self._model.update(now_s, state, decision, self._sent)
         period, is_fallback = 1 / self.options.rate_hz, decision.status in _FALLBACKS or guarded.takes_over
         self._fallback_from_s = min(self._fallback_from_s, now_s) if is_fallback else math.inf
@@ -575,6 +601,7 @@ class ControlLoop:
                 self.link.status,
                 self._fence_m,
                 flown,
+                slip_m=self._slip_m,
                 is_velocity=self.commander.setpoint is VelocitySetpoint,
             )
         )

@@ -32,6 +32,7 @@ class SupervisorLimits:
     Attributes:
         stale_s: maximum age of a state [s].
         jump_m: maximum jump of the position, see `JumpWatch` [m].
+        slip_m: maximum slip of the position against the velocity, see `SlipWatch` [m].
         silence_s: maximum time without any message of the vehicle [s].
         late_s: maximum lateness of a tick [s].
         overruns: number of ticks that overran in a row.
@@ -51,6 +52,7 @@ class SupervisorLimits:
 
     stale_s: float = 0.15
     jump_m: float = 0.4
+    slip_m: float = 2.0
     silence_s: float = 1.5
     late_s: float = 0.1
     overruns: int = 20
@@ -80,6 +82,9 @@ class Facts:
     Attributes:
         state_age_s: age of the newest state [s].
         jump_m: distance of its position from the predicted one, see `JumpWatch` [m].
+        slip_m: distance by which its position and its velocity contradict each other, see `SlipWatch` [m].
+        free_m: distance from the nearest obstacle beyond the radius, by the filter's last decision [m];
+            infinite where no filter measures it.
         silence_s: time since the last valid message [s].
         armed, landed, obeys, is_failsafe, estimator_ready, battery_share: as reported by the vehicle.
         is_ours: False after somebody else has changed the mode.
@@ -105,6 +110,8 @@ class Facts:
     now_s: float
     state_age_s: float = math.inf
     jump_m: float = 0.0
+    slip_m: float = 0.0
+    free_m: float = math.inf
     silence_s: float = math.inf
     armed: bool | None = None
     landed: bool | None = None
@@ -177,7 +184,9 @@ class Taken(NamedTuple):
 
 
 _REPEATS = frozenset({Event.ORDER_REFUSED})  # acts each time it occurs in a state, not only once
-_HOLDING = frozenset({Event.STATE_STALE, Event.LINK_LOST, Event.LOOP_LATE, Event.MODEL_WRONG, Event.FENCE})
+_HOLDING = frozenset(
+    {Event.STATE_STALE, Event.LINK_LOST, Event.LOOP_LATE, Event.SLIPS, Event.MODEL_WRONG, Event.FENCE}
+)
 # The vehicle must be in a mode that follows set-points in these states, and in none in LAND.
 _OBEYING = frozenset({State.TAKE_OFF, State.FLY, State.HOLD})
 _ENDS = frozenset({State.LAND, State.HAND_OVER, State.ABORT, State.DONE})
@@ -271,6 +280,7 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
         (Event.STATE_STALE, not abs(facts.state_age_s) <= limits.stale_s),  # nor in the future
         (Event.STATE_JUMPED, not facts.jump_m <= limits.jump_m),
         (Event.OFF_CLIMB, not facts.off_climb_m <= 0.0),
+        (Event.SLIPS, not facts.slip_m <= min(limits.slip_m, max(0.0, facts.free_m))),
         (Event.DRIFTS, not facts.drift_m <= limits.drift_m),
         (Event.LOOP_LATE, not facts.late_s <= limits.late_s or facts.overruns >= limits.overruns),
         (Event.FILTER_FAILED, facts.filter is FilterHealth.FAILED),

@@ -37,6 +37,7 @@ class Event(Enum):
     FRAME_WRONG = "motion contradicts the frame"
     STATE_STALE = "state too old"
     STATE_JUMPED = "position jumped"
+    SLIPS = "position contradicts velocity"
     LOOP_LATE = "loop too late"
     FILTER_REFUSED = "filter has no safe input"
     FILTER_FAILED = "filter failed"
@@ -160,6 +161,7 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
         _E.HEALTH_UNKNOWN,
         _E.PARAMETER_CHANGED,
         _E.OFF_CLIMB,
+        _E.SLIPS,
         _E.TIMED_OUT,
     )
     | _abort(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
@@ -179,7 +181,7 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
         _E.PARAMETER_CHANGED,
     )
     # The vehicle is low and near the climb path that was proven clear; a hold would be in unproven space.
-    | _land(_E.OFF_CLIMB, _E.FENCE, _E.TURNED_OVER)
+    | _land(_E.OFF_CLIMB, _E.SLIPS, _E.FENCE, _E.TURNED_OVER)
     | _stop(_E.CRASHED)
     | _land(_E.NOT_OBEYED, _E.ORDER_REFUSED, _E.TIMED_OUT, _E.FAILSAFE_IDLE)
     | _land(_E.INTERRUPT, _E.INTERRUPT_ON_GROUND, _E.INTERRUPT_IN_AIR),
@@ -190,7 +192,7 @@ TABLE: Mapping[State, Mapping[Event, Step]] = {
     | _land(_E.TURNED_OVER, _E.FALLEN)
     | _stop(_E.CRASHED)
     | _hold(_E.STATE_STALE, _E.LOOP_LATE, _E.FILTER_REFUSED, _E.FILTER_FAILED, _E.FALLBACK_LONG)
-    | _hold(_E.MODEL_WRONG, _E.FENCE)
+    | _hold(_E.SLIPS, _E.MODEL_WRONG, _E.FENCE)
     | _land(
         _E.PLAN_FINISHED,
         _E.FRAME_WRONG,
@@ -255,6 +257,7 @@ _HEALTH = (
     _E.STATE_STALE,
     _E.RESTARTED,
     _E.STATE_JUMPED,
+    _E.SLIPS,
     _E.ESTIMATOR_BAD,
     _E.BATTERY_LOW,
     _E.HEALTH_UNKNOWN,
@@ -299,7 +302,7 @@ IGNORED: Mapping[State, frozenset[Event]] = {
     # The cause of the hold is still present until it has recovered, or has lasted too long.
     _S.HOLD: frozenset(
         {_E.START, *_OF_CHECKS, _E.ARMED, _E.AIRBORNE, _E.LANDED, _E.STILL, *_OF_FLIGHT, _E.OFF_CLIMB}
-        | {_E.STATE_STALE, _E.FENCE, _E.LANDED_AWAY}
+        | {_E.STATE_STALE, _E.SLIPS, _E.FENCE, _E.LANDED_AWAY}
     ),
     # The landing continues whatever else is wrong: there is no better action, and wind may cause drift.
     _S.LAND: frozenset(

@@ -7,6 +7,7 @@ answers into events.
 from __future__ import annotations
 
 import math
+from collections import deque
 
 from alula.schemas.arrays import FloatArray
 from alula.stages.flight.commanders.protocol import Decision
@@ -20,6 +21,8 @@ _HEALTH = ("armed", "is_estimator_ready", "battery_share")
 _SHORTEST_LAG_S, _ROOM, _ROOM_M_S = 0.1, 0.3, 0.3
 _AT_LIMIT = 0.99  # estimates of disturbances are cut at the limit
 _OF_RESPONSE = 0.5  # part of the limit for velocities and accelerations
+_SLIP_S, _SLIP_ROOM_M = 2.0, 0.1  # window, and what the noise of sound estimates makes in it
+_LONGEST_S = 0.5  # between states; velocities are not integrated over more
 _BRAKE_M_S2, _REACTION_S = 2.0, 0.5  # minimum deceleration of autopilots, and their maximum reaction time
 
 
@@ -143,6 +146,10 @@ class PositionWatch:
         off = math.sqrt(x * x + y * y + (0.0 if above < 0 else above) ** 2) - self._room_m
         return 0.0 if off <= 0 else off  # NaN stays NaN
 
+    def crept_m(self, state: VehicleState) -> float:
+        """Distance of the position from where the checks proved the climb path [m]; NaN before `proven`."""
+        return math.nan if self._foot is None else math.dist(state.position, self._foot)
+
     def moved(self) -> None:
         """Forget the last hold: the vehicle flies again, and the next hold begins elsewhere."""
         self._held = None
@@ -180,6 +187,52 @@ class JumpWatch:
         away = state.position - last.position - 0.5 * dt * (state.velocity + last.velocity)
         jump = math.sqrt(float(away @ away)) - 10.0 * dt * dt
         return max(0.0, jump) if math.isfinite(jump) else math.inf
+
+
+class SlipWatch:
+    """Distance by which position and integrated velocity contradict each other.
+
+    The slip is |p(t) - p(t - T) - int v dt| over the last T = 2 s, less 0.1 m: noise of 1 cm and of 1 cm/s
+    with time constants of seconds makes up to 0.1 m. Either the position is wrong by as much since t - T,
+    or the velocity by slip / T on average. Then a point of rest that is predicted over a lag of at most T is
+    wrong by no more than the slip. So the margins of filters grow by it
+    (`added_margin` in `alula/filters/safety_filter.hpp`).
+    """
+
+    def __init__(self) -> None:
+        self._last: VehicleState | None = None
+        self._gone = (0.0, 0.0, 0.0)  # position less the integrated velocity [m]
+        self._past: deque[tuple[float, tuple[float, float, float]]] = deque()
+        self._slip_m = 0.0
+
+    def slip_m(self, state: VehicleState, *, is_resting: bool) -> float:
+        """Slip up to this state [m]; infinite if it is not a number.
+
+        Args:
+            is_resting: the vehicle stands on the ground, so its velocity is zero, whatever it reports.
+        """
+        last = self._last
+        if state is last:
+            return self._slip_m
+        self._last = state
+        dt = math.inf if last is None else state.received_s - last.received_s
+        if last is None or not 0.0 <= dt <= _LONGEST_S:
+            self._past.clear()
+        else:
+            share = 0.0 if is_resting else 0.5 * dt
+            away = state.position - last.position - share * (state.velocity + last.velocity)
+            x, y, z = away.tolist()
+            self._gone = self._gone[0] + x, self._gone[1] + y, self._gone[2] + z
+        if not all(map(math.isfinite, self._gone)):
+            self._last, self._gone = None, (0.0, 0.0, 0.0)
+            self._past.clear()
+            self._slip_m = math.inf
+            return self._slip_m
+        self._past.append((state.received_s, self._gone))
+        while self._past[0][0] < state.received_s - _SLIP_S:
+            self._past.popleft()
+        self._slip_m = max(0.0, math.dist(self._gone, self._past[0][1]) - _SLIP_ROOM_M)
+        return self._slip_m
 
 
 class ModelWatch:

@@ -27,6 +27,7 @@ _BAD = frozenset(
         Event.FAILSAFE_IDLE,
         Event.OFF_CLIMB,
         Event.DRIFTS,
+        Event.SLIPS,
         Event.HEALTH_UNKNOWN,
     }
 )
@@ -182,6 +183,7 @@ def tick_sample(
     fence_m: float | None,
     flown: Flown | None,
     *,
+    slip_m: float,
     is_velocity: bool,
 ) -> TickSample:
     """Build the sample of a tick.
@@ -192,6 +194,7 @@ def tick_sample(
         state: of the vehicle, world frame, if there is one.
         fence_m: distance to the fence [m], if it was computed.
         flown: the set-point, if there is one.
+        slip_m: see `SlipWatch` [m].
     """
     now_s, late_s, spent_s, age_s = times
     supervisor = Supervisor(
@@ -206,6 +209,7 @@ def tick_sample(
         late_s=late_s,
         tick_s=spent_s,
         fence_m=fence_m,
+        slip_m=slip_m,
     )
     sample = TickSample(supervisor)
     if state is not None:
@@ -269,6 +273,7 @@ def _replay(now_s: float, flown: Flown) -> Replay | None:
         number=inputs.number,
         repeats=inputs.repeats,
         age_s=inputs.age_s,
+        slip_m=inputs.slip_m,
         measured=tuple(inputs.measured.tolist()),
         target=tuple(inputs.target.tolist()),
         decided=decided,

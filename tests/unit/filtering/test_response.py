@@ -1,5 +1,7 @@
 """What the response to velocities and accelerations says about disturbances, and what filters make of it."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -186,6 +188,24 @@ def test_a_grown_margin_stops_the_approach_and_drives_nothing_away():
     calm = flight_by("velocity", by_hulls())
     calm.observe(0.0, x, target=row, age_s=0.0)
     assert calm.decide()["filters"][-1]["velocity"][1] > 0.2
+
+
+def test_a_slip_of_the_position_adds_itself_to_the_margin():
+    row, x = np.zeros(18), np.zeros(12)
+    x[:3] = row[:3] = (0.0, 1.6, 1.0)
+    row[1] += 1.0  # in the wall, which is 0.25 m beyond the radius
+    towards = []
+    for slip_m in (0.0, 0.1, 0.3):
+        flight = flight_by("velocity", by_hulls())
+        flight.observe(0.0, x, target=row, age_s=0.0, slip_m=slip_m)
+        found = flight.decide()
+        assert found["added_margin_m"] == slip_m
+        towards.append(found["filters"][-1]["velocity"][1])
+    assert towards[0] - towards[1] == pytest.approx(BETA * 0.1, abs=0.02)
+    assert towards[2] == pytest.approx(0.0, abs=0.02)
+    for wrong in (math.nan, math.inf, -0.1):
+        with pytest.raises(ValueError, match="finite and not negative"):
+            flight_by("velocity", by_hulls()).observe(0.0, x, target=row, age_s=0.0, slip_m=wrong)
 
 
 def test_filters_of_accelerations_keep_more_where_the_response_contradicts():

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 
 from alula.stages.flight.links.protocol import Order, VehicleState
 from alula.stages.flight.loop.supervisor import Event, State
-from alula.stages.flight.loop.watches import JumpWatch, PositionWatch
+from alula.stages.flight.loop.watches import JumpWatch, PositionWatch, SlipWatch
 from support.fake_vehicle import FakeClock, FakeVehicle
 from support.flights import START, fly, loop_of, mission
+from support.small_scenes import box_cover, line_plan
 
 LEVEL = np.array([1.0, 0, 0, 0])
 
@@ -267,3 +268,104 @@ def test_an_error_that_is_not_a_number_is_not_flown(monkeypatch):
     assert Event.FILTER_FAILED in [taken.event for _, taken in loop.taken]
     assert math.isfinite(loop.plan.time_s)
     assert loop.supervision.cause is Event.PLAN_FINISHED
+
+
+def reported(slips_m_s=(0, 0, 0), *, runs_m_s=(0, 0, 0), begin_s=1.0):
+    """An estimate that goes wrong: from so long after the first set-point on the position moves by itself.
+
+    Args:
+        runs_m_s: what the velocity is wrong by.
+    """
+    begun = []
+
+    def poll(vehicle, now):
+        if vehicle.sent and not begun:
+            begun.append(now)
+            seen = vehicle.seen
+
+            def wrong(at):
+                true, past = seen(at), max(0.0, at - begun[0] - begin_s)
+                moved = past * np.array(slips_m_s)
+                runs = np.array(runs_m_s) if past > 0 else np.zeros(3)
+                return dataclasses.replace(
+                    true, position=true.position + moved, velocity=true.velocity + runs
+                )
+
+            vehicle.seen = wrong
+
+    return poll
+
+
+@pytest.mark.parametrize("wrong", [{"slips_m_s": (0, 0.25, 0)}, {"runs_m_s": (0, 0.25, 0)}])
+def test_a_position_that_contradicts_the_velocity_near_an_obstacle_is_held_and_landed(wrong):
+    """A corridor of 0.7 m: 0.2 m beyond the radius on both sides."""
+    walls = box_cover([((0, 0, 0), (40, 2, 30)), ((0, 9, 0), (40, 12, 30))])
+    plan = line_plan((0.3, 0.55, 1.0), (3.7, 0.55, 1.0), 12.0)
+    made = mission(cover=walls, plan=plan, margin_m=0.15)
+    loop, _ = fly(made, reported(**wrong), position=(0.3, 0.55, 0.0))
+    events = [taken.event for _, taken in loop.taken]
+    assert Event.SLIPS in events
+    first = next(at for at, taken in loop.taken if taken.event is Event.SLIPS)
+    flying = next(at for at, taken in loop.taken if taken.event is Event.AIRBORNE)
+    assert first - flying < 1.0 + 2.0  # its walls were 0.2 m away: 0.1 m of noise and 0.2 m take 1.2 s
+    assert State.HOLD in [taken.step.state for _, taken in loop.taken]
+    words = next(words for _, words in loop.recorder.lines if words.startswith(Event.SLIPS.value))
+    assert "m from obstacles" in words
+    assert loop.state is State.DONE
+    assert loop.supervision.cause is not Event.PLAN_FINISHED
+
+
+def test_the_same_slip_in_free_space_adds_itself_to_the_margin_and_the_flight_goes_on():
+    far = box_cover([((0, 100, 0), (40, 102, 30))])
+    loop, _ = fly(mission(cover=far), reported((0, 0.25, 0)))
+    events = [taken.event for _, taken in loop.taken]
+    assert Event.PLAN_FINISHED in events
+    assert Event.SLIPS not in events
+    found = [sample.safety.added_margin_m for sample in loop.recorder.samples if sample.safety]
+    assert max(found) == pytest.approx(2.0 * 0.25 - 0.1, abs=0.05)
+    assert max(s.supervisor.slip_m for s in loop.recorder.samples) == pytest.approx(0.4, abs=0.05)
+
+
+def test_a_contradiction_of_more_than_a_metre_a_second_is_held_anywhere():
+    far = box_cover([((0, 100, 0), (40, 102, 30))])
+    loop, _ = fly(mission(cover=far, fence=(-50, -50, -1, 50, 50, 50)), reported((0, 1.2, 0)))
+    assert Event.SLIPS in [taken.event for _, taken in loop.taken]
+
+
+@pytest.mark.parametrize("crept_m", [0.105, 0.695])
+def test_a_position_that_creeps_while_it_arms_is_said_and_beyond_the_proven_room_it_does_not_take_off(
+    crept_m,
+):
+    def poll(vehicle, now):
+        if vehicle.orders and vehicle.orders[-1] is Order.ARM:
+            is_there = bool(vehicle.x[0] - START[0] >= crept_m)
+            vehicle.x[0] += 0.0 if is_there else 0.01
+            vehicle.status.armed = is_there
+
+    loop, vehicle = fly(mission(), poll)
+    lines = "\n".join(words for _, words in loop.recorder.lines)
+    if crept_m < 0.5:
+        assert "its position moved by 0.11 m on the ground since the checks" in lines
+        assert loop.supervision.cause is Event.PLAN_FINISHED
+    else:
+        assert loop.supervision.cause is Event.OFF_CLIMB
+        assert "off the climb path: no take-off (by 0.50 m, of which 0.50 m are proven clear)" in lines
+        assert Order.TAKE_OFF not in vehicle.orders
+
+
+@given(
+    st.lists(st.floats(0.005, 0.2), min_size=5, max_size=60),
+    st.floats(-3, 3),
+    st.floats(-3, 3),
+    st.floats(0.0, 1.0),
+)
+def test_motion_as_the_velocity_says_is_no_slip_and_a_creep_of_the_ground_is(steps, speed, pull, creep):
+    at, flying, resting = 10.0, SlipWatch(), SlipWatch()
+    for dt in [0.0, *steps]:
+        at += dt
+        t = at - 10.0
+        moving = state((speed * t + 0.5 * pull * t * t, 0, 0), (speed + pull * t, 0, 0), at)
+        assert flying.slip_m(moving, is_resting=False) == 0.0
+        crept = resting.slip_m(state((creep * t, 0, 0), (creep, 0, 0), at), is_resting=True)
+        assert crept == pytest.approx(max(0.0, creep * min(t, 2.0) - 0.1), abs=0.2 * creep + 1e-9)
+    assert math.isinf(flying.slip_m(state((math.nan, 0, 0), at=at + 0.01), is_resting=False))

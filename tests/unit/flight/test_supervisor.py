@@ -45,6 +45,7 @@ SHOWN = {
     Event.FRAME_WRONG: {"frame_wrong": True},
     Event.STATE_STALE: {"state_age_s": 0.16},
     Event.STATE_JUMPED: {"jump_m": 0.41},
+    Event.SLIPS: {"slip_m": 0.21, "free_m": 0.2},
     Event.LOOP_LATE: {"late_s": 0.11},
     Event.FILTER_REFUSED: {"filter": FilterHealth.REFUSED},
     Event.FILTER_FAILED: {"filter": FilterHealth.FAILED},

@@ -318,6 +318,15 @@ PLOTS = {
         mission={"near_m": 0.2},
         seen_is_true=False,
     ),
+    **{
+        f"{state.value}: slips": Plot(
+            [(state, E.SLIPS)],
+            [*before, *on(state, fault("jump", amount=0.25), after=0.3)],
+            limits={"slip_m": 0.1},
+            seen_is_true=False,
+        )
+        for state, before in ((S.ARMING, UNARMED), (S.TAKE_OFF, []), (S.FLY, []))
+    },
     "take-off: over the fence": Plot(
         [(S.TAKE_OFF, E.FENCE)],
         on(S.TAKE_OFF, fault("jump", amount=0.35)),

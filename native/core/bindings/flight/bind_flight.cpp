@@ -285,7 +285,7 @@ struct SteppedFlight {
 
   void observe(double now_s, const std::optional<InState>& measured, const nb::bytes& seen, const Triple& variance,
                const std::optional<Vec4>& sticks, const std::optional<InReference>& target,
-               const std::optional<double>& age_s) {
+               const std::optional<double>& age_s, double slip_m) {
     if (seen.size() % sizeof(alula_track) != 0) throw std::invalid_argument("these are no tracks");
     tracks.resize(seen.size() / sizeof(alula_track));
     std::memcpy(tracks.data(), seen.data(), seen.size());
@@ -296,7 +296,7 @@ struct SteppedFlight {
     observation.position_variance = vector_of(variance);
     if (sticks) observation.sticks = RacerCommand{(*sticks)[0], {(*sticks)[1], (*sticks)[2], (*sticks)[3]}};
     if (target) observation.target = reference_at(target->data());
-    observation.age_s = age_s;
+    observation.age_s = age_s, observation.slip_m = slip_m;
     flight.observe(observation);
   }
 
@@ -525,9 +525,11 @@ void bind_flight(nb::module_& m) {
            "options"_a, "mission"_a, "filters"_a)
       .def("observe", &SteppedFlight::observe, "now_s"_a, "measured"_a.none(), nb::kw_only(),
            "tracks"_a = nb::bytes("", 0), "position_variance"_a = Triple{}, "sticks"_a = nb::none(),
-           "target"_a = nb::none(), "age_s"_a = nb::none(),
+           "target"_a = nb::none(), "age_s"_a = nb::none(), "slip_m"_a = 0.0,
            "The newest measurement (p, sigma, v, omega), or None; `tracks` as `simulate` returns them; `target` as\n"
-           "of ReferenceCurve.at; age_s of the measurement, in place of the assumed delay [s].")
+           "of ReferenceCurve.at; age_s of the measurement, in place of the assumed delay [s]; `slip_m`, by which "
+           "position\n"
+           "and integrated velocity differ, which margins grow by.")
       .def(
           "reset", [](SteppedFlight& self) { self.flight.reset(); },
           "Before another flight, and when others have flown the vehicle.")

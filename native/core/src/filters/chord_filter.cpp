@@ -4,8 +4,6 @@
 #include <cmath>
 #include <stdexcept>
 
-#include "alula/dynamics/disturbance.hpp"
-
 namespace alula::flight {
 namespace {
 
@@ -109,7 +107,7 @@ void ChordFilter::go_along(Vec3 p, Vec3 chord, Vec3 u) {
 FilterReport ChordFilter::filter(const FlightState& state, const Nominal& nominal) {
   at_ = state, wanted_ = nominal;
   const Vec3 u = nominal.velocity, moved = by_axis(lag_, state.disturbance);
-  at_.more_margin_m = way_before_reaction(state.disturbance_bound, lag_.most());
+  at_.more_margin_m = added_margin(state, lag_.most());
   const double size = norm(moved);
   if (!(size > 0)) return filter_moved(u);
   const double along = dot(u, moved) / size, spare = max_speed_ * max_speed_ - dot(u, u) + along * along;

@@ -5,7 +5,6 @@
 #include <stdexcept>
 
 #include "alula/base/constants.hpp"
-#include "alula/dynamics/disturbance.hpp"
 
 namespace alula::flight {
 namespace {
@@ -97,7 +96,7 @@ FilterReport ConeDi::filter(const FlightState& state, const Nominal& nominal) {
   program_.limit(options_.max_acceleration);
   const auto candidates = pruner_.near(p, v, moves, report);
   cones_.clear();
-  const double more = way_before_reaction(state.disturbance_bound);
+  const double more = added_margin(state);
   for (const Found& found : candidates) cones_.push_back(cone(found.item, p, v, more));
   double contact = kInfinity;
   if (moves && options_.recovery > 0)

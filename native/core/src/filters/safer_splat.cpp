@@ -5,7 +5,6 @@
 #include <stdexcept>
 
 #include "alula/base/constants.hpp"
-#include "alula/dynamics/disturbance.hpp"
 
 namespace alula::flight {
 namespace {
@@ -56,7 +55,7 @@ FilterReport SaferSplat::filter(const FlightState& state, const Nominal& nominal
   program_.start(nominal.acceleration);
   program_.limit(options_.max_acceleration);
   const bool on_demand = is_on_demand(options_);
-  const double more = way_before_reaction(state.disturbance_bound);
+  const double more = added_margin(state);
   if (on_demand) {
     const bool has_all = options_.rows == SaferRows::all;
     report.gate_m = has_all ? kInfinity : gate_distance(options_.pruning, geometry::norm(v), index().radius());

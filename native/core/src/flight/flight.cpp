@@ -132,7 +132,9 @@ void Flight::reset() {
 }
 
 void Flight::observe(const Observation& seen) {
-  now_ = seen.now_s;
+  if (!(seen.slip_m >= 0 && std::isfinite(seen.slip_m)))
+    throw std::invalid_argument("the slip of a position must be finite and not negative");
+  now_ = seen.now_s, seen_.slip_m = seen.slip_m;
   if (seen.measured && is_finite(*seen.measured)) {
     if (observer_.is_on()) estimate_disturbance(*seen.measured, seen.age_s);
     if (response_.is_on()) response_.update(seen.age_s.value_or(vehicle_.assumed.delay_s), seen.measured->v);

@@ -43,11 +43,24 @@ struct FlightState {
   Vec3 disturbance;
   // What it may be in addition, beyond what noise makes [m/s^2]; see disturbance.hpp.
   double disturbance_bound = 0;
+  // Distance by which position and velocity contradict each other [m]: what the position has moved in a window of
+  // time, less the velocity integrated over it. Which of both is wrong is not known.
+  double slip_m = 0;
   double more_margin_m = 0;  // of velocities: margin to keep in addition, where there is that room
   bool is_known = true;      // false: there is no navigation, and the state means nothing
   // Of a racing quadrotor: the attitude x.sigma as its unit quaternion w, x, y, z, where that is known to all bits.
   std::optional<Vec4> attitude;
 };
+
+// What margins grow by, one law for all filters [m]: `way_before_reaction` of the disturbance, and the slip. If the
+// position is what is wrong, the vehicle is that far from where it was seen to come from. If it is the velocity,
+// wrong by slip / window, a point of rest that is predicted over a time up to the window is off by no more.
+inline double added_margin(const FlightState& state) {
+  return way_before_reaction(state.disturbance_bound) + state.slip_m;
+}
+inline double added_margin(const FlightState& state, double lag_s) {
+  return way_before_reaction(state.disturbance_bound, lag_s) + state.slip_m;
+}
 
 // The state as filters among moving obstacles read it.
 alula_vehicle_state vehicle_state_of(const FlightState& state);

@@ -42,8 +42,8 @@
 // a certified manoeuvre holds for the assumption |d - d^| <= bound. Rest is judged as without it.
 //
 // The margin grows by what a disturbance that the state does not account for can move the vehicle before it is
-// estimated (`FlightState::disturbance_bound`, disturbance.hpp), for new inputs only: the manoeuvre that is being
-// flown stays accepted.
+// estimated (`FlightState::disturbance_bound`, disturbance.hpp), and by `FlightState::slip_m`, for new inputs only:
+// the manoeuvre that is being flown stays accepted.
 //
 // When no manoeuvre is safe, the policy with the rotors' full range is tried. When that is not safe either, the best
 // remaining manoeuvre is flown: of those without contact the one with the largest clearance, else the one that is
@@ -128,7 +128,7 @@ class Shield {
   void see(const FlightState& state) {
     see(state.rotors);
     level_ = state.level;
-    margin_ = options_.margin_m + way_before_reaction(state.disturbance_bound);
+    margin_ = options_.margin_m + added_margin(state);
     tubes_.set(state.tracks, state.position_variance);
   }
 

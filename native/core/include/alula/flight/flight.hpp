@@ -86,6 +86,7 @@ struct Observation {
   std::optional<RacerCommand> sticks;    // of the pilot
   std::optional<ReferencePoint> target;  // of a mission by given points
   std::optional<double> age_s;           // of `measured`, if it is known; else it is the assumed delay
+  double slip_m = 0;                     // see FlightState; finite and not negative
 };
 
 // Record of one filter in one tick.
@@ -126,11 +127,10 @@ class Flight {
   // The estimated acceleration that the model leaves out, and the bound on what is missing in it [m/s^2].
   Vec3 disturbance() const { return observer_.is_on() ? observer_.acceleration() : response_.acceleration(); }
   double disturbance_bound() const { return observer_.is_on() ? observer_.bound() : response_.bound(); }
-  // What the margins of filters grow by because of the bound [m].
+  // What the margins of filters grow by because of the bound and the slip [m].
   double added_margin() const {
-    const double bound = seen_.disturbance_bound;
-    return vehicle_.interface == Interface::velocity ? way_before_reaction(bound, vehicle_.velocity_lag_s.most())
-                                                     : way_before_reaction(bound);
+    return vehicle_.interface == Interface::velocity ? flight::added_margin(seen_, vehicle_.velocity_lag_s.most())
+                                                     : flight::added_margin(seen_);
   }
   const std::optional<PlanClock>& clock() const { return clock_; }
 
