@@ -63,6 +63,7 @@ class Px4:
 
     def __init__(self, instance):
         self.port = _COMPANION + instance
+        self._instance = instance
         self.mocap_port = free_port()
         self._line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.truth, self.flags = [], []
@@ -103,6 +104,12 @@ class Px4:
                 "velocity_m_s": [message.vy * 1e-2, message.vx * 1e-2, -message.vz * 1e-2],
             }
             self._line.sendto(json.dumps(sample).encode(), ("127.0.0.1", self.mocap_port))
+
+    def set(self, **parameters):
+        """Set parameters of the vehicle or of its simulation, as its console does."""
+        for name, value in parameters.items():
+            command = [program().parent / "px4-param", "--instance", str(self._instance)]
+            subprocess.run([*command, "set", name, str(value)], check=True, capture_output=True, timeout=10)
 
     def close(self):
         """Stop reading."""

@@ -1,5 +1,8 @@
 """Flights of PX4's own simulation, judged by its true motion."""
 
+import math
+import time
+
 import numpy as np
 import pytest
 
@@ -41,3 +44,18 @@ def test_px4_arms_flies_and_lands_by_satellites(tmp_path):
         assert "off the climb path" in fly.said, fly.said
     flying = flags[(flags[:, 0] > begun + 5.0) & (flags[:, 0] < ended - 5.0), 1]
     assert set(flying.astype(int)) == {RESTING & ~128}
+
+
+def test_lost_satellites_land_px4_before_its_own_flags_change(tmp_path):
+    """They change 5.2 s later, and its failsafe of injected failures does not know its own simulation."""
+    with px4(tmp_path) as sim, flight(sim, tmp_path, *SIH) as fly:
+        fly.wait_for("flying the plan")
+        time.sleep(6.0)
+        lost_s = time.monotonic()
+        sim.set(SIM_GPS_USED=0)
+        assert fly.wait_for("estimator not healthy: landing", 5.0) - lost_s < 1.5
+        assert fly.end() == 6, fly.said
+        assert "the flight ended early: estimator not healthy (no new satellite fix" in fly.said
+        at = next(row for row in sim.truth if row[0] >= lost_s)
+        assert math.dist(at[1:3], sim.truth[-1][1:3]) < 3.0
+        assert sim.truth[-1][3] < 0.5

@@ -43,3 +43,13 @@ def test_the_pilots_sticks_win_in_offboard(among_hulls):
     assert loop.supervision.cause is Event.MODE_CHANGED
     assert not served.is_armed
     assert served.copter.parameters["COM_RC_OVERRIDE"] == 1  # put back
+
+
+def test_lost_satellites_land_it_before_its_own_flags_change(among_hulls):
+    loop, served = fly_px4(among_hulls, Fault(kind="satellites"))
+    assert loop.supervision.cause is Event.ESTIMATOR_BAD
+    assert "no new satellite fix for" in loop.ending
+    flown = [at for at, taken in loop.taken if taken.event in (Event.AIRBORNE, Event.ESTIMATOR_BAD)]
+    assert flown[1] - flown[0] < 2.5
+    assert not served.is_armed
+    assert clearance(among_hulls, true_path(loop, served, "fly", "land")) > 0

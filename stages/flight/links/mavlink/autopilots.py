@@ -57,8 +57,10 @@ class Autopilot:
             were set.
         responses: names, in all its versions, of parameters that limit how set-points are followed; they are
             watched, too.
-        position_source: name of the parameter that selects the source of the horizontal position, and its
-            value for satellites; None if fixes of satellites are not watched.
+        position_source: name of the parameter that selects the source of the horizontal position, and
+            whether by a value of it the position depends on satellites, unless it comes by `--mocap`.
+        external_source: value of that parameter for external navigation, of which then nothing else gives the
+            position, and the frame needs an origin; None if other parameters select that.
         yaw_filter: name of the parameter with the cutoff of the filter of the yaw rate's error [Hz]; empty if
             there is none.
         settling: parameter that lets it lean less in a landing, so that it notices the ground; None if there
@@ -82,7 +84,8 @@ class Autopilot:
     ground_station: tuple[str, ...]
     watched: tuple[str, ...]
     responses: tuple[str, ...]
-    position_source: tuple[str, float] | None
+    position_source: tuple[str, Callable[[float], bool]]
+    external_source: float | None
     hover: str
     yaw_filter: str
     settling: Parameter | None
@@ -103,14 +106,13 @@ class Autopilot:
     @property
     def relied_on(self) -> tuple[str, ...]:
         """Names of all parameters whose values must not change in flight."""
-        source = () if self.position_source is None else (self.position_source[0],)
         set_or_checked = (
             *(name for each in self.needed(flies_rates=True) for name in each.names),
             *(name for name, _ in self.fixed),
         )
         settling = "" if self.settling is None else self.settling.name  # a landing changes it
         responses = (name for name in self.responses if name != settling)
-        named = (*self.ground_station, *source, *self.watched, *responses)
+        named = (*self.ground_station, self.position_source[0], *self.watched, *responses)
         return tuple(dict.fromkeys((*set_or_checked, *named)))
 
     def needed(self, *, flies_rates: bool) -> tuple[Parameter, ...]:
@@ -133,16 +135,13 @@ class Autopilot:
         }
         if flies_rates:
             rates[dialect.MAVLINK_MSG_ID_ATTITUDE_TARGET] = _THROTTLE_HZ
+        rates |= {dialect.MAVLINK_MSG_ID_GPS_RAW_INT: 5.0, dialect.MAVLINK_MSG_ID_GPS2_RAW: 5.0}
         if self.has_odometry:
             return rates | {
                 dialect.MAVLINK_MSG_ID_ODOMETRY: rate_hz,
                 dialect.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 5.0,
             }
-        return rates | {
-            dialect.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 5.0,
-            dialect.MAVLINK_MSG_ID_GPS_RAW_INT: 5.0,
-            dialect.MAVLINK_MSG_ID_GPS2_RAW: 5.0,
-        }
+        return rates | {dialect.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 5.0}
 
 
 def _copter_mode(custom: int) -> tuple[int, int, str]:
@@ -198,7 +197,8 @@ ARDUPILOT = Autopilot(
     ground_station=("MAV_GCS_SYSID", "SYSID_MYGCS"),
     watched=("FS_EKF_ACTION", "FS_EKF_THRESH", "FS_GCS_TIMEOUT", "FS_OPTIONS", "FS_THR_ENABLE"),
     responses=RESPONSES,
-    position_source=("EK3_SRC1_POSXY", 3.0),
+    position_source=("EK3_SRC1_POSXY", lambda value: value == 3.0),
+    external_source=6.0,
     hover="MOT_THST_HOVER",
     yaw_filter="ATC_RAT_YAW_FLTE",
     settling=Parameter(
@@ -240,7 +240,8 @@ PX4 = Autopilot(
         *("MPC_XY_VEL_MAX", "MPC_Z_VEL_MAX_UP", "MPC_Z_VEL_MAX_DN"),
         *("MC_ROLLRATE_MAX", "MC_PITCHRATE_MAX", "MC_YAWRATE_MAX"),
     ),
-    position_source=None,
+    position_source=("EKF2_GPS_CTRL", lambda value: bool(round(value) & 1)),
+    external_source=None,
     hover="MPC_THR_HOVER",
     yaw_filter="",
     settling=None,

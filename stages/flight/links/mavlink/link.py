@@ -46,7 +46,6 @@ _HOVER_TAU_S = 3.0
 _OFF_GROUND_M = 0.2  # from here on its weight rests on its rotors
 _SYNC_S = 0.5
 _REASONS_S = 5.0  # between requests for the reasons why it does not arm
-_EXTERNAL = 6.0  # value of ArduPilot's parameter of the source of its position
 _NO_MESSAGE = re.compile(r"No ap_message for mavlink id \((\d+)\)")
 _REQUESTS = 32  # time requests whose answers are awaited: 16 s of them
 _GUIDED_NOGPS = (20, 0)
@@ -354,10 +353,11 @@ class MavlinkLink:
                         f"{name} is {watched:g}: the vehicle will not land when this program's heartbeats end"
                     )
                 break
-        if self._autopilot.position_source is not None:
-            name, satellites = self._autopilot.position_source
-            self._source = parameters.read(name, _OPTIONAL_S)
-            self._telemetry.satellites.is_watched = self._source in (satellites, None)
+        name, uses_satellites = self._autopilot.position_source
+        self._source = parameters.read(name, _OPTIONAL_S)
+        self._telemetry.satellites.is_watched = self._mocap is None and (
+            self._source is None or uses_satellites(self._source)
+        )
         for name in self._autopilot.watched:
             parameters.read(name, _OPTIONAL_S)
         if self._autopilot.settling is not None:
@@ -470,24 +470,27 @@ class MavlinkLink:
         for number, rate_hz in intervals.items():
             if number not in self._unknown:
                 self._session.send(self._interval(number, rate_hz))
-        if self._origin is None and self._autopilot.position_source is not None:
+        if self._origin is None and self._autopilot.external_source is not None:
             number = dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN
             self._session.send(self._session.command(dialect.MAV_CMD_REQUEST_MESSAGE, (float(number),)))
 
     def _without_position(self, now_s: float) -> str:
         """What its position needs and lacks, in words; empty where this is not known."""
-        if self._autopilot.position_source is None:
-            return ""
-        name, satellites = self._autopilot.position_source
-        words = []
-        if self._source == _EXTERNAL and self._mocap is None:
+        name, uses_satellites = self._autopilot.position_source
+        source, external, words = self._source, self._autopilot.external_source, list[str]()
+        if source is None:
+            pass
+        elif uses_satellites(source):
+            if not self._telemetry.satellites.has_fix:
+                words.append("its receivers of satellites report no fix")
+        elif external is None:
+            pass
+        elif source == external and self._mocap is None:
             words.append(f"{name} is 6, external navigation, which this command sends only with --mocap")
-        elif self._source == _EXTERNAL and not self._is_mocap_fresh(now_s):
+        elif source == external and not self._is_mocap_fresh(now_s):
             words.append(f"{name} is 6, external navigation, but no poses arrive by --mocap")
-        elif self._source == 0:
+        elif source == 0:
             words.append(f"{name} is 0: it has no source of positions")
-        elif self._source == satellites and not self._telemetry.satellites.has_fix:
-            words.append("its receivers of satellites report no fix")
-        if self._origin is None:
+        if self._origin is None and external is not None:
             words.append("it has no origin of its frame (GPS_GLOBAL_ORIGIN); --mocap sets one, or a fix")
         return "; ".join(words)
