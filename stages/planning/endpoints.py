@@ -166,10 +166,17 @@ def free_points(
             f"{space.keep_m:g} m, not {count}; ask for fewer points or set --bounds to a smaller box"
         )
     chosen = [int(np.random.default_rng(seed).integers(len(point)))]
-    apart = np.linalg.norm(point - point[chosen[0]], axis=1)
+    x, y, z = np.ascontiguousarray(point.T)
+
+    def distance_to(k: int) -> FloatArray:  # by columns: a fifth of the time of np.linalg.norm
+        dx, dy, dz = x - x[k], y - y[k], z - z[k]
+        distance: FloatArray = np.sqrt(dx * dx + dy * dy + dz * dz)
+        return distance
+
+    apart = distance_to(chosen[0])
     while len(chosen) < count:
         chosen.append(int(apart.argmax()))
-        apart = np.minimum(apart, np.linalg.norm(point - point[chosen[-1]], axis=1))
+        apart = np.minimum(apart, distance_to(chosen[-1]))
         if progress is not None:
             progress(len(chosen), count)
     found: FloatArray = point[chosen]
