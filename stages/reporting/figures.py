@@ -184,6 +184,9 @@ def drawing(
             _plain_ticks(figure)
             if paper is not None:
                 return ""
+            layout: Any = figure.get_layout_engine()
+            layout.execute(figure)
+            figure.set_layout_engine(None)  # which savefig would run by drawing everything once more
             out = io.StringIO()
             figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
             return out.getvalue()
