@@ -47,16 +47,22 @@ test-all: setup ## run all tests: long ones too, with new random examples, then 
 setup: ## make the environment in .venv/
 	@$(MAKE) --no-print-directory --quiet -j2 .venv/.dependencies .venv/.installed
 
-.venv/.native: .ci/native.lock
+.venv/bin/pip:
 	.ci/system-packages "$$(.ci/find-python)"
 	@echo "making .venv, with what compiles the native code"
-	@[ -x $(BIN)/pip ] || "$$(.ci/find-python)" -m venv .venv
+	@"$$(.ci/find-python)" -m venv .venv
+
+# The two are installed side by side: no package is in both.
+.venv/.native: .ci/native.lock | $(BIN)/pip
 	@$(LOCKED) -r .ci/native.lock
 	@touch $@
 
-.venv/.demo: .ci/demo.lock | .venv/.native
+.venv/.view: .ci/demo.lock | $(BIN)/pip
 	@echo "installing the packages of the pipeline and of its pictures"
-	@$(LOCKED) -r .ci/demo.lock
+	@$(LOCKED) --no-deps -r .ci/demo.lock
+	@touch $@
+
+.venv/.demo: .venv/.view | .venv/.native
 	@$(BIN)/python -c 'import matplotlib.pyplot, scipy.optimize, scipy.spatial, trimesh, viser' # compiles these, lists fonts
 	@touch $@
 

@@ -135,6 +135,8 @@ def _contents_of(
     progress: Progress,
 ) -> tuple[dict[Path, bytes], dict[str, Any]]:
     """Contents of the files of a report, the output first, and the facts to print."""
+    from concurrent.futures import ThreadPoolExecutor
+
     from alula.schemas.artifacts.provenance import in_ascii
     from alula.stages.reporting.content import content_of, to_json, to_report_markdown
     from alula.stages.reporting.page import comment, report_page
@@ -154,9 +156,11 @@ def _contents_of(
     if form == "html":
         from alula.stages.show.viewing.report import view
 
-        shown = view(material)
-        progress(2, 3)
-        page = report_page(material, content, draw(material), shown, line)
+        with ThreadPoolExecutor(1) as beside:
+            figures = beside.submit(draw, material)
+            shown = view(material)
+            progress(2, 3)
+            page = report_page(material, content, figures.result(), shown, line)
         files = {
             output: page.encode(),
             output.with_suffix(".csv"): to_csv(material).encode(),
