@@ -60,6 +60,7 @@ setup: ## make the environment in .venv/
 .venv/.view: .ci/demo.lock | $(BIN)/pip
 	@echo "installing the packages of the pipeline and of its pictures"
 	@$(LOCKED) --no-deps -r .ci/demo.lock
+	@[ -e .venv/.dependencies ] || $(BIN)/pip uninstall -qy setuptools # which Python 3.11 puts into every environment
 	@touch $@
 
 .venv/.demo: .venv/.view | .venv/.native
