@@ -79,7 +79,8 @@ class FakeVehicle:
 
     def seen(self, now_s):
         n = float(self.x[3:6] @ self.x[3:6])
-        quat = np.array([1 - n, *(2 * self.x[3:6])]) / (1 + n)
+        a, b, c = self.x[3:6].tolist()
+        quat = np.array([(1 - n) / (1 + n), 2 * a / (1 + n), 2 * b / (1 + n), 2 * c / (1 + n)])
         return VehicleState(now_s, self.frame @ self.x[:3], self.frame @ self.x[6:9], quat, self.x[9:].copy())
 
     def order(self, order, now_s, height_m=0.0):
@@ -91,14 +92,14 @@ class FakeVehicle:
             self.status.armed, self.status.mode = True, "GUIDED"
         elif order is Order.TAKE_OFF:
             self.height_m, self.status.mode = height_m, "GUIDED"
-            self.hold_at = self.x[:3] + np.array([0, 0, height_m])
+            self.hold_at = (self.x[:3] + np.array([0, 0, height_m])).tolist()
         elif order is Order.TAKE_CONTROL:
             self.status.mode = "GUIDED"
         elif order is Order.HOLD:
-            self.hold_at, self.setpoint = self.x[:3].copy(), None
+            self.hold_at, self.setpoint = self.x[:3].tolist(), None
         elif order is Order.LAND:
             self.status.mode, self.setpoint = "LAND", None
-            self.hold_at = np.array([*self.x[:2], self.ground_m - 1.0])
+            self.hold_at = [*self.x[:2].tolist(), self.ground_m - 1.0]
         elif order is Order.STOP or (order is Order.DISARM and self.status.landed):
             self.status.armed = False
         self.status.obeys = self.status.mode == "GUIDED"
@@ -157,7 +158,7 @@ class FakeVehicle:
 
 
 def _within(value, limit):
-    return max(-limit, min(limit, float(value)))
+    return -limit if value < -limit else min(value, limit)
 
 
 class Kept:

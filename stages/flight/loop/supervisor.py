@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
@@ -192,6 +192,16 @@ _OBEYING = frozenset({State.TAKE_OFF, State.FLY, State.HOLD})
 _ENDS = frozenset({State.LAND, State.HAND_OVER, State.ABORT, State.DONE})
 # A plan was finished; with one of these in the landing the flight did not end as planned nevertheless.
 _SPOILS = frozenset({Event.FAILSAFE, Event.ESTIMATOR_BAD, Event.LANDED_AWAY, Event.CRASHED, Event.TIMED_OUT})
+# Names of the limits of the time in a state; the other states have none.
+_LONGEST = {
+    State.CHECKS: "checks_s",
+    State.ARMING: "arming_s",
+    State.TAKE_OFF: "take_off_s",
+    State.FLY: "flight_s",
+    State.HOLD: "hold_s",
+    State.LAND: "landing_s",
+    State.ABORT: "abort_s",
+}
 
 
 def sends_setpoints(state: State) -> bool:
@@ -209,9 +219,10 @@ def advance(was: Supervision, facts: Facts, limits: SupervisorLimits) -> tuple[S
         The state now, and the steps that were taken; at most one of them leaves the state.
     """
     now = _timed(was, facts, limits)
+    ignored = IGNORED[now.state]  # until a step leaves the state, and this function with it
     taken: list[Taken] = []
     for event in observe(now, facts, limits):
-        if event in IGNORED[now.state] or (event in now.seen and event not in _REPEATS):
+        if event in ignored or (event in now.seen and event not in _REPEATS):
             continue
         step = TABLE[now.state][event]
         taken.append(Taken(now.state, event, step))
@@ -243,7 +254,7 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
         limits: beyond which a fact is an event.
     """
     state = was.state
-    longest = _longest(limits)[state]
+    longest = getattr(limits, _LONGEST[state]) if state in _LONGEST else math.inf
     fence = facts.fence_m
     battery = facts.battery_share
     engaged = was.engaged if state is State.FLY else True
@@ -309,21 +320,6 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
 
 def _has_climbed(facts: Facts) -> bool:
     return facts.climbed_m is not None and facts.climbed_m >= 0.95 * facts.height_m
-
-
-def _longest(limits: SupervisorLimits) -> Mapping[State, float]:
-    return {
-        State.IDLE: math.inf,
-        State.CHECKS: limits.checks_s,
-        State.ARMING: limits.arming_s,
-        State.TAKE_OFF: limits.take_off_s,
-        State.FLY: limits.flight_s,
-        State.HOLD: limits.hold_s,
-        State.LAND: limits.landing_s,
-        State.HAND_OVER: math.inf,
-        State.ABORT: limits.abort_s,
-        State.DONE: math.inf,
-    }
 
 
 def _timed(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Supervision:
