@@ -18,8 +18,8 @@ import pytest
 from alula.schemas.artifacts.artifact import write_artifact
 from alula.stages.flight.links.mavlink.signing import Signer
 from alula.stages.flight.watchdog.companion import REACTION_S, STALL_S
-from support.ardupilot_sitl import LOOSE
 from support.autopilot_client import EXACT
+from support.fly_process import LOOSE
 from support.lockstep import _BRISK
 from support.mavlink_peer import m
 from support.served_autopilot import Served

@@ -21,7 +21,7 @@ def program():
     """The program and its default parameters; the test is skipped without them."""
     name = os.environ.get("ALULA_ARDUCOPTER")
     if not name:
-        pytest.skip("ALULA_ARDUCOPTER does not name ArduPilot's program (docs/guide/sitl.md)")
+        pytest.skip("ALULA_ARDUCOPTER does not name ArduPilot's program (tests/sitl/README.md)")
     path = Path(name).resolve()
     if not path.is_file():
         pytest.skip(f"ALULA_ARDUCOPTER names no file: {name}")

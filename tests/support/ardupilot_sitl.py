@@ -5,26 +5,20 @@ sensors, and reads the true motion (SIM_STATE) and all texts.
 """
 
 import math
-import signal
 import socket
 import struct
-import subprocess
-import sys
 import threading
 import time
 from contextlib import contextmanager, suppress
 
-import pytest
-
-from alula.schemas.artifacts.artifact import write_artifact
 from alula.stages.sim_vehicle.common.packets import mavlink
 from support.arducopter import arducopter, second_port
+from support.fly_process import fly
 from support.sim_vehicle_process import free_port, until
 from support.small_scenes import box_cover, line_plan
 
 START, GOAL = (0.0, 0.0, 1.5), (14.0, 0.0, 1.5)
 WALLS = box_cover([((0, 60, 0), (140, 64, 30)), ((0, -64, 0), (140, -60, 30))])  # at y = 6 m and -6 m
-LOOSE = ("--stale", "0.4", "--latency", "0.05")  # the machine may have other work than both programs
 STATION = 254
 _EARTH_M = 6378100.0
 
@@ -139,75 +133,7 @@ def sitl(folder, parameters=None):
             running.close()
 
 
-class Fly:
-    """`alula fly` in a process of its own.
-
-    Attributes:
-        lines: its lines of standard error with their times [s].
-    """
-
-    def __init__(self, sim, folder, *more, plan=None, cover=WALLS):
-        plan = line_plan(START, GOAL, 24.0) if plan is None else plan
-        x, y, _ = plan["coefficient"][0, :3, 0]
-        write_artifact(folder / "plan.npz", plan)
-        write_artifact(folder / "cover.npz", cover)
-        command = [
-            *(sys.executable, "-P", "-m", "alula.cli", "fly", str(folder / "plan.npz")),
-            *("--map", str(folder / "cover.npz"), "--origin", f"{-x} {-y} 0"),
-            *("--link", f"udpin:127.0.0.1:{sim.port}", "-o", str(folder / "f.run.mcap"), *LOOSE),
-            *("--allow-other-map", *more),  # the plan is not made by `alula plan` in the cover
-        ]
-        self.lines = []
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        self._thread = threading.Thread(target=self._read, daemon=True)
-        self._thread.start()
-
-    def _read(self):
-        for line in self.process.stderr:
-            self.lines.append((time.monotonic(), line.rstrip()))
-
-    def at(self, text):
-        """When a text was printed first [s]; None if it was not."""
-        return next((at for at, line in list(self.lines) if text in line), None)
-
-    def wait_for(self, text, timeout_s=150.0):
-        """Wait until a text is printed; returns when it was [s]."""
-        end_s = time.monotonic() + timeout_s
-        while (at := self.at(text)) is None:
-            if self.process.poll() is not None and self.at(text) is None:
-                pytest.fail(f"{text!r} was not printed:\n{self.said}")
-            if time.monotonic() > end_s:
-                pytest.fail(f"{text!r} was not printed in time:\n{self.said}")
-            time.sleep(0.02)
-        return at
-
-    @property
-    def said(self):
-        return "\n".join(line for _, line in self.lines)
-
-    def interrupt(self):
-        self.process.send_signal(signal.SIGINT)
-
-    def end(self, timeout_s=90.0):
-        """Wait for its end; returns the exit code."""
-        self.process.wait(timeout_s)
-        self._thread.join(5)
-        return self.process.returncode
-
-    def close(self):
-        if self.process.poll() is None:
-            self.process.kill()
-        self.process.wait(5)
-        self._thread.join(5)
-        self.process.stdout.close()
-        self.process.stderr.close()
-
-
-@contextmanager
-def flight(sim, folder, *more, **words):
-    """A flight of `alula fly`; it is killed at the end."""
-    running = Fly(sim, folder, *more, **words)
-    try:
-        yield running
-    finally:
-        running.close()
+def flight(sim, folder, *more, plan=None, cover=WALLS):
+    """A flight of `alula fly` with it; it is killed at the end."""
+    plan = line_plan(START, GOAL, 24.0) if plan is None else plan
+    return fly(f"udpin:127.0.0.1:{sim.port}", folder, *more, plan=plan, cover=cover)

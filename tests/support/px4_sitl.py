@@ -32,7 +32,7 @@ def program():
     """The program; the test is skipped without it."""
     name = os.environ.get("ALULA_PX4")
     if not name:
-        pytest.skip("ALULA_PX4 does not name PX4's program (docs/guide/sitl.md)")
+        pytest.skip("ALULA_PX4 does not name PX4's program (tests/sitl/README.md)")
     path = Path(name).expanduser().resolve()
     if not path.is_file():
         pytest.skip(f"ALULA_PX4 names no file: {name}")

@@ -17,7 +17,7 @@ pytestmark = [pytest.mark.sitl, pytest.mark.realtime]
 
 PILLAR = box_cover([((70, 4, 0), (76, 10, 40))])  # 0.4 m beside the line
 COPTER = VEHICLES / "arducopter.toml"
-AS_FLOWN = {"stale_s": 0.4, "latency_s": 0.05}  # of support.ardupilot_sitl.LOOSE
+AS_FLOWN = {"stale_s": 0.4, "latency_s": 0.05}  # of support.fly_process.LOOSE
 
 
 @pytest.mark.parametrize("name", ["polytope-cbf", "cone-backup"])

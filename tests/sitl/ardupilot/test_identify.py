@@ -8,7 +8,8 @@ import pytest
 
 from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.vehicles.velocity_lag import stop_time_s
-from support.ardupilot_sitl import LOOSE, sitl
+from support.ardupilot_sitl import sitl
+from support.fly_process import LOOSE
 from support.paths import VEHICLES
 from support.responses import MEASURED
 

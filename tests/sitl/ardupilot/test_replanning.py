@@ -21,7 +21,7 @@ pytestmark = [pytest.mark.sitl, pytest.mark.realtime]
 WALL = box_cover([((70, -20, 0), (76, 15, 40))])  # in the way, from y = -2 m to 1.5 m
 COPTER = VEHICLES / "arducopter.toml"
 FENCE = (-3.0, -4.0, -1.0, 17.0, 4.0, 6.0)
-AS_FLOWN = {"stale_s": 0.4, "latency_s": 0.05, "fence": FENCE}  # with support.ardupilot_sitl.LOOSE
+AS_FLOWN = {"stale_s": 0.4, "latency_s": 0.05, "fence": FENCE}  # with support.fly_process.LOOSE
 
 
 @pytest.mark.parametrize("name", ["polytope-cbf", "cone-backup"])
