@@ -269,6 +269,7 @@ IN_SIMULATION = {
 }
 
 
+@pytest.mark.every(5)
 @pytest.mark.parametrize("words", sorted(IN_SIMULATION), ids=lambda words: " ".join(words))
 def test_flights_of_the_simulated_vehicle_pass_their_checks(
     words, files, tmp_path, monkeypatch, capsys, quick_clock

@@ -86,6 +86,7 @@ def test_start_and_goal_are_free_in_the_map_that_make_makes(project):
     assert np.percentile(scene.mean[:, 2], 30) == pytest.approx(0, abs=0.1)  # the lawn
 
 
+@pytest.mark.slow
 def test_where_the_filter_acts_ends_with_more_room_are_chosen(project, monkeypatch):
     assert make(project, "out/map.cover.npz").returncode == 0
     cover = alula.read(project / "out/map.cover.npz")
@@ -128,6 +129,7 @@ def test_the_folder_has_the_name_of_the_splat_and_the_scale_is_loud(project, tmp
     assert (tmp_path / "garden/scenario.toml").read_text() == same
 
 
+@pytest.mark.slow
 def test_tiles_of_one_frame_become_one_project_equal_to_that_of_the_whole(project, tmp_path, capsys):
     whole = project.parent / "my garden.ply"
     header, rows = whole.read_bytes().split(b"end_header\n", 1)
@@ -236,6 +238,7 @@ def test_start_and_goal_are_at_a_comfortable_height_with_room_above(project, tmp
     assert not (project / "scenario.toml").read_text().count("bounds_m")
 
 
+@pytest.mark.slow
 def test_a_scene_too_small_for_the_vehicle_is_assumed_to_be_larger_and_this_is_said(tmp_path, capsys):
     write_garden(tmp_path / "garden.ply")
     assert run(["init", str(tmp_path / "garden.ply"), "-o", str(tmp_path / "a"), "--height", "0.05"]) == 0

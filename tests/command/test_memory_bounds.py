@@ -112,6 +112,7 @@ def test_peaks_stay_below_what_the_help_says(tmp_path, monkeypatch, shape, words
     assert used <= limits.BASE_BYTES + limits.VERIFY_BYTES * held + limits.VERIFY_HULL_BYTES * hulls
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss has another unit")
 def test_flights_among_hulls_hold_the_scene_for_the_judge_alone(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -151,6 +151,7 @@ def test_a_report_and_the_view_in_it(name, folder, browser):
             check_curves(shown, frame)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("window", [{"width": 1280, "height": 800}, PHONE], ids=["wide", "phone"])
 def test_a_report_neither_scrolls_nor_takes_the_focus_by_itself(window, files, browser):
     page = write_page(files, "report", "run", *REPORTS["run"])

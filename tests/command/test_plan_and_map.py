@@ -102,6 +102,7 @@ def test_the_scene_of_a_plan_is_known_without_the_files_between(folder, tmp_path
     assert flown(tmp_path, "tiny.plan.npz", "other.cover.npz") == 3
 
 
+@pytest.mark.slow
 def test_fly_and_simulate_refuse_a_plan_that_leaves_the_mapped_box(folder, capsys):
     """The plan says itself how far; a map of another size does not have that space."""
     made, cover = str(folder / "above.plan.npz"), str(folder / "tiny.cover.npz")

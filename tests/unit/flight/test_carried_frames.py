@@ -59,6 +59,7 @@ def fly(matrix, *, dry_run=False):
     return flight.fly()
 
 
+@pytest.mark.every(4)
 @pytest.mark.parametrize("name", WRONG)
 def test_a_wrong_frame_is_refused_before_the_motors_start(name):
     flight = fly(WRONG[name])

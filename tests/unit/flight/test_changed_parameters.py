@@ -21,7 +21,7 @@ def silently(name, value):
     return lambda flight: flight.copter.parameters.set(name, value)
 
 
-@pytest.mark.every(2)
+@pytest.mark.every(4)
 @pytest.mark.parametrize("how", [set_by_another, silently])
 @pytest.mark.parametrize(
     ("name", "value", "words"),
@@ -48,6 +48,7 @@ def test_a_climb_rate_is_never_flown_for_a_thrust():
     assert flight.cause is Event.PARAMETER_CHANGED
 
 
+@pytest.mark.slow
 def test_other_parameters_are_the_business_of_others():
     flight = flown(set_by_another("RTL_ALT", 900.0))
     assert flight.cause is Event.PLAN_FINISHED

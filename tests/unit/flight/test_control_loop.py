@@ -81,6 +81,7 @@ def test_a_shield_is_certified_against_hulls_without_a_scene():
     assert all(f.certified for f in flown)
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize(
     "scene", [None, ball_scene([(2.0, -3.0, 1.0)], 0.3)], ids=["cover", "cover and scene"]
 )
@@ -149,6 +150,7 @@ def test_a_lost_link_is_told_to_land_and_given_up():
     assert Order.LAND in vehicle.orders
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize(
     ("fault", "cause", "path"),
     [
@@ -169,7 +171,7 @@ def test_faults_of_the_vehicle_end_the_flight(fault, cause, path):
     assert loop.supervision.cause is cause
 
 
-@pytest.mark.every(3)
+@pytest.mark.every(9)
 @pytest.mark.parametrize("seconds", [0.3, 1.0, 3.0])
 @pytest.mark.parametrize("mode", ["STABILIZE", "LAND", "RTL"])
 def test_the_pilot_takes_it_and_keeps_it(mode, seconds):
@@ -242,6 +244,7 @@ def test_silence_declines_nothing_and_is_told_once():
     assert all("Ctrl-C ends it and leaves the vehicle to the pilot" in words for words in handed)
 
 
+@pytest.mark.every(3)
 @pytest.mark.parametrize(
     ("how", "event"),
     [
@@ -350,6 +353,7 @@ def test_a_late_loop_is_held_counted_and_not_made_up_for():
     assert np.allclose(np.diff(times)[-300:], 0.01, atol=1e-6)  # and back on the grid
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("late_s", [0.03, 0.07])
 def test_what_was_sent_is_remembered_for_as_long_as_it_was_followed(late_s):
     """An old state is predicted over all of its age, including the ticks that were left out."""

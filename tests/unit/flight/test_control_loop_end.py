@@ -13,6 +13,7 @@ from support.small_scenes import line_plan
 AS_PLANNED = ["checks", "arming", "take-off", "fly", "land", "done"]
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("seconds", [0.5, 3.0])
 def test_ctrl_c_lands_and_a_second_waits_for_the_ground(seconds):
     clock = FakeClock()

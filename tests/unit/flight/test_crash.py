@@ -33,7 +33,7 @@ def thrust_until(flight):
     return max(at for at, m in flight.packets() if m.get_type().startswith("SET_")) - flight.fallen_s
 
 
-@pytest.mark.every(2)
+@pytest.mark.every(6)
 @pytest.mark.parametrize("tilt", [math.pi, 1.8, -1.2])
 @pytest.mark.parametrize("check", [0.0, 1.0])
 def test_a_vehicle_that_lies_on_the_ground_is_stopped_by_force(tilt, check):
@@ -46,6 +46,7 @@ def test_a_vehicle_that_lies_on_the_ground_is_stopped_by_force(tilt, check):
     assert {(m.command, m.param1) for m in forced} == {(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)}
 
 
+@pytest.mark.slow
 def test_a_vehicle_that_is_upside_down_in_the_air_levels_itself_out_and_lands():
     flight = flown(topple(seconds=0.4), height_m=8.0)
     assert flight.cause is Event.TURNED_OVER
@@ -73,6 +74,7 @@ def test_a_crash_that_the_vehicle_finds_first_is_named():
     assert flight.loop.ending == "disarmed (Crash: Disarming: AngErr=90>30, Accel=0.0<3.0)"
 
 
+@pytest.mark.slow
 def test_a_crash_in_the_landing_after_the_plan_is_no_success():
     flight = flown(topple(1.2, falls=True), State.LAND, 0.1, FS_CRASH_CHECK=0.0)
     assert (State.FLY, Event.PLAN_FINISHED) in flight.rows
@@ -80,6 +82,7 @@ def test_a_crash_in_the_landing_after_the_plan_is_no_success():
     assert not flight.copter.is_armed
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("start_deg", [0.0, 6.0])
 def test_a_vehicle_that_leans_into_the_wind_on_the_ground_is_made_to_notice_it(monkeypatch, start_deg):
     disturbance = msgspec.structs.replace(FASTBRIDGE.disturbance, linear_drag_n_s_m=(0.25,) * 3)

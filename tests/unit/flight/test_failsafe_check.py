@@ -70,12 +70,14 @@ def test_a_return_through_the_ceiling_is_refused_with_the_parameters_to_change()
     )
 
 
+@pytest.mark.every(3)
 @pytest.mark.parametrize("parameters", [LANDS, {"RTL_ALT": 150.0}, LANDS | {"BATT_FS_LOW_ACT": 1}])
 def test_landing_or_a_return_below_the_ceiling_is_flown(parameters):
     flight = checked(RETURNS | parameters)
     assert flight.cause is Event.CHECKS_PASSED_DRY, flight.loop.checks.failure()
 
 
+@pytest.mark.every(3)
 @pytest.mark.parametrize(
     ("parameters", "setting"),
     [
@@ -114,6 +116,7 @@ def test_a_way_back_that_is_not_known_is_refused():
     )
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize(
     ("parameters", "words"),
     [

@@ -110,7 +110,7 @@ def test_admissible_faults_end_at_the_goal_in_the_safe_set(room, name, faults):
     assert {s.safety.sent for s in flight.recorder.samples if s.safety} == {SENT[name]}
 
 
-@pytest.mark.every(2)
+@pytest.mark.every(6)
 @pytest.mark.parametrize("seconds", [0.06, 0.7, 1.5])
 @pytest.mark.parametrize("way", ["in", "out"])
 def test_no_flight_begins_on_a_line_that_was_always_slow(room, seconds, way):
@@ -140,7 +140,7 @@ SPARED = {  # as others are: with one filter only
 }
 
 
-@pytest.mark.every(4)
+@pytest.mark.every(8)
 @pytest.mark.parametrize(("name", "kind"), [(n, k) for n in FILTERS for k in ENDING if (n, k) not in SPARED])
 def test_other_faults_end_on_the_ground_in_the_safe_set(room, name, kind):
     fault, cause, states = ENDING[kind]

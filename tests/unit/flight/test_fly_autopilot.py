@@ -78,6 +78,7 @@ def test_a_climb_that_ends_below_a_ceiling_leaves_all_of_the_margin(speed):
     assert clearance(made, true_path(loop, served, "fly")) >= made.config.margin_m
 
 
+@pytest.mark.slow
 def test_a_plan_that_ends_fast_before_a_wall_leaves_all_of_the_margin():
     """At 3 m/s a filter that ignores the lag of the autopilot hits the wall."""
     wall = box_cover([((40, 0, 0), (44, 40, 30))])

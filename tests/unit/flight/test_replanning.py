@@ -101,6 +101,7 @@ def test_a_flight_that_is_stuck_arrives_with_a_new_plan():
     assert ticks[-1].plan_s - ticks[0].plan_s > 0.1  # and not for much longer
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("how", ["no path", "raises"])
 def test_a_plan_that_failed_leaves_the_flight_as_it_was(how):
     made = blocked(replans=2)

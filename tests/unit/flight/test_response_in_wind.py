@@ -44,7 +44,7 @@ def worst(flight):
     return max(np.linalg.norm(estimate, axis=1).max(), bound.max())
 
 
-@pytest.mark.every(4)
+@pytest.mark.every(12)
 @pytest.mark.parametrize("speed", [0.5, 1.0, 2.0])
 @pytest.mark.parametrize("name", FILTERS)
 def test_without_a_change_the_watch_is_quiet_with_room_to_spare(name, speed):
@@ -105,6 +105,7 @@ def lose_thrust(share):
     return do
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["polytope-cbf", "cone-di"])
 def test_lost_thrust_is_seen_as_an_acceleration_downwards(name):
     flight = fly(name, 1.0, Upset(State.FLY, 2.0, lose_thrust(0.5)))
@@ -113,6 +114,7 @@ def test_lost_thrust_is_seen_as_an_acceleration_downwards(name):
     assert bound.max() > 1.0
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("limit_cm_s2", [250.0, 60.0])
 def test_a_vehicle_that_brakes_too_slowly_is_noticed(limit_cm_s2):
     """WPNAV_ACCEL of the vehicle is lowered in flight, which it does not tell; its plan leads into a wall."""

@@ -447,7 +447,7 @@ def at_once(monkeypatch):
     monkeypatch.setattr("alula.stages.sim_vehicle.ardupilot.copter.Copter.ARMING_DELAY_S", 0.1)
 
 
-@pytest.mark.every(5)
+@pytest.mark.every(10)
 @pytest.mark.parametrize("name", PLOTS)
 def test_a_flight_takes_its_rows_and_ends_well(name):
     plot = PLOTS[name]

@@ -19,7 +19,7 @@ def past_the_pillar(name="cone-backup", **words):
     return mission(name, cover=box_cover(PILLAR), plan=line_plan(START, GOAL, 8.0), vehicle=COPTER, **words)
 
 
-@pytest.mark.every(3)
+@pytest.mark.every(6)
 @pytest.mark.parametrize("name", ["cone-backup", "shield", "cone-ecbf"])
 @pytest.mark.parametrize("wind", [TO_PILLAR, (4.0, -4.0, 1.0)], ids=str)
 def test_a_wind_that_rises_on_the_way_blows_it_into_nothing(name, wind):

@@ -36,6 +36,7 @@ def written(flight):
     )
 
 
+@pytest.mark.slow
 def test_steps_that_fit_are_flown_and_found():
     flight = SurveyFlight(speeds_m_s=(0.5, 1.0), box=(-2.7, -2.7, 0, 2.7, 2.7, 2.4)).fly()
     assert flight.loop.supervision.cause is Event.PLAN_FINISHED, flight.recorder.lines[-5:]

@@ -71,6 +71,7 @@ def test_curves_are_smooth_in_their_cells_within_limits_and_pass_their_points(se
         np.testing.assert_array_equal(ends, corridor.joint)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [2])
 def test_limits_hold_in_exact_arithmetic_at_ten_thousand_random_times(seed):
     curve = solve(box_chain(seed, 4))
@@ -342,6 +343,7 @@ def test_curves_pass_discs_along_their_normals_and_balls_anywhere(seed, is_disc,
             assert heights[0][:-1].max() < 0 < heights[1][1:].min()
 
 
+@pytest.mark.every(2)
 @pytest.mark.parametrize("is_disc", [True, False])
 def test_with_openings_no_curve_is_faster_in_the_convex_reference(is_disc):
     corridor = with_openings(0, is_disc)
