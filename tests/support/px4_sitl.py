@@ -20,8 +20,8 @@ from support.sim_vehicle_process import free_port
 
 # Positions by motion capture instead of satellites, which its simulation lets wander by a metre.
 MOCAP = {"EKF2_EV_CTRL": 15, "EKF2_GPS_CTRL": 0, "EKF2_HGT_REF": 3, "EKF2_EV_DELAY": 20}
-# No ground station and no sticks; below a ceiling it must not fly home when its battery lasts just for that.
-INDOORS = {"NAV_DLL_ACT": 0, "COM_RC_IN_MODE": 4, "COM_FLTT_LOW_ACT": 1}
+# No sticks; below a ceiling it must not fly home when its battery is critical.
+INDOORS = {"COM_RC_IN_MODE": 4, "COM_LOW_BAT_ACT": 2}
 # UDP ports of instance 0: it has one and sends to the others
 _OWN, _COMPANION, _OTHER, _TRUTH = 14580, 14540, 14030, 19410
 _INSTANCES = 10
@@ -120,13 +120,13 @@ class Px4:
 
 
 @contextmanager
-def px4(folder, parameters=None):
+def px4(folder, parameters=None, *, start=INDOORS):
     """A running simulation in a folder of its own."""
     path = program()
     instance = _free_instance()
     work = folder / "px4"
     work.mkdir()
-    values = {f"PX4_PARAM_{name}": str(value) for name, value in (INDOORS | (parameters or {})).items()}
+    values = {f"PX4_PARAM_{name}": str(value) for name, value in (start | (parameters or {})).items()}
     words = [path, "-d", "-i", str(instance), "-w", work, path.parents[1] / "etc"]
     environment = os.environ | {"PX4_SIM_MODEL": "sihsim_quadx"} | values
     running = Px4(instance)

@@ -92,9 +92,9 @@ class Wired:
 
     CLOCK = ("ATTITUDE",)
 
-    def __init__(self):
+    def __init__(self, port=0):
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.bind(("127.0.0.1", 0))
+        self.socket.bind(("127.0.0.1", port))
         self.port = self.socket.getsockname()[1]
         self.mav = m.MAVLink(None, srcSystem=255, srcComponent=190)
         self.mav.robust_parsing = True

@@ -26,7 +26,7 @@ AS_PLANNED = ["checks", "arming", "take-off", "fly", "land", "done"]
 
 
 INDOORS = {"FS_THR_ENABLE": 3.0, "FS_DR_ENABLE": 1.0}  # near walls it must not fly home in an emergency
-INDOORS_PX4 = {"NAV_RCL_ACT": 3.0, "COM_FLTT_LOW_ACT": 1.0}
+INDOORS_PX4 = {"NAV_RCL_ACT": 3.0, "COM_LOW_BAT_ACT": 2.0}
 
 
 class Watched(Served):

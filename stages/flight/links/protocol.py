@@ -82,6 +82,7 @@ class VehicleStatus:
         failsafe: cause of its newest failsafe in its own words; empty if it reported none.
         can_arm: whether its own checks before arming hold; None if it does not report or make them.
         arming: why they do not hold, in its own words; may be empty.
+        settles: whether it can be ordered to lean less, so that it notices the ground (`Order.SETTLE`).
         own_safety: its failsafes and its fence; `Link.prepare` reads them. None if they are not known.
         changed: parameters that the flight relies on and another station has changed, in words.
         texts: its messages for people, oldest first; the reader removes them.
@@ -104,6 +105,7 @@ class VehicleStatus:
     failsafe: str = ""
     can_arm: bool | None = None
     arming: str = ""
+    settles: bool = False
     own_safety: OwnSafety | None = None
     changed: str = ""
     texts: list[str] = field(default_factory=list)

@@ -361,7 +361,7 @@ class ControlLoop:
             is_lying=self._crash.is_lying,
             is_over=self._crash.is_over,
             is_fallen=self._crash.is_down,
-            is_still=self._crash.is_still,
+            is_still=self._crash.is_still and status.settles,
             restarted=self._clock_jumps is not None and status.clock_jumps > self._clock_jumps,
             estimator_ready=status.is_estimator_ready,
             battery_share=status.battery_share,

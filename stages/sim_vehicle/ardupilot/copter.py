@@ -24,8 +24,7 @@ from alula.stages.sim_vehicle.common.quaternions import rotate
 HOME: LatLonAlt = (-35.3632621, 149.1652374, 584.0)  # start of ArduPilot's own simulation
 EMERGENCY, CRITICAL, ERROR, WARNING, NOTICE, INFO = 0, 2, 3, 4, 5, 6  # MAV_SEVERITY
 
-_LANDED_S = 1.0
-_RESTING_FRACTION = 0.9  # of the weight; less thrust for `_LANDED_S` on the ground is a landing
+_RESTING_FRACTION = 0.9  # of the weight; less thrust for `LANDED_S` on the ground is a landing
 _LEVEL_UP = math.cos(math.radians(15.0))  # it takes the ground for the air while it leans by more
 _CRASH_S = 2.0  # tilted for this long on the ground is a crash
 _CHECK_S = 0.1  # between checks of failsafes
@@ -68,6 +67,7 @@ class Copter:
     POSITION: ClassVar[type[PositionControl]] = PositionControl
     FLYING: ClassVar[type[Flying]] = Flying
     ARMING_DELAY_S: ClassVar[float] = 2.0  # the rotors stand still this long after arming
+    LANDED_S: ClassVar[float] = 1.0  # of rest until it reports that it has landed
 
     def __init__(
         self,
@@ -345,7 +345,7 @@ class Copter:
         is_level = -rotate(self.attitude.target, (0.0, 0.0, -1.0))[2] > _LEVEL_UP
         resting = thrust_n < _RESTING_FRACTION * self.airframe.weight_n and is_level
         self._resting_s = self._resting_s + TICK_S if resting else 0.0
-        if not self.is_landed and self._resting_s >= _LANDED_S:
+        if not self.is_landed and self._resting_s >= self.LANDED_S:
             self.is_landed = True
             self._touch_down()
         if self.is_armed and self.is_landed:

@@ -1,4 +1,4 @@
-"""PX4's parameters with its documented defaults, and ArduPilot's parameters derived from them."""
+"""PX4's parameters as its own simulation starts, and ArduPilot's parameters derived from them."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ TABLE: dict[str, tuple[ParamType, float]] = {
     "COM_FLTMODE4": (_I, -1),
     "COM_FLTMODE5": (_I, -1),
     "COM_FLTMODE6": (_I, -1),
-    "COM_FLTT_LOW_ACT": (_I, 3),  # 3: return; the remaining time is not estimated here
+    "COM_FLTT_LOW_ACT": (_I, 0),  # 3: return; the remaining time is not estimated here
     "COM_FLT_TIME_MAX": (_I, -1),  # s, then it returns
-    "COM_LOW_BAT_ACT": (_I, 0),  # 0: warn, 2: land, 3: return, land at the emergency level
+    "COM_LOW_BAT_ACT": (_I, 3),  # 0: warn, 2: land, 3: return, land at the emergency level
     "COM_OBL_RC_ACT": (_I, 0),
     "COM_OF_LOSS_T": (_F, 1),  # s
     "COM_POSCTL_NAVL": (_I, 0),
     "COM_POS_LOW_ACT": (_I, 3),  # in Mission and Hold only
     "COM_RCL_EXCEPT": (_I, 0),  # 2: in Auto modes, 4: in Offboard
-    "COM_RC_IN_MODE": (_I, 3),  # 4: no sticks at all
+    "COM_RC_IN_MODE": (_I, 1),  # 4: no sticks at all
     "COM_RC_OVERRIDE": (_I, 1),  # 1: in Auto modes, 2: in Offboard
     "COM_RC_STICK_OV": (_F, 30),  # %
     "COM_SPOOLUP_TIME": (_F, 1),  # s
@@ -60,6 +60,8 @@ TABLE: dict[str, tuple[ParamType, float]] = {
     "MPC_ACC_HOR": (_F, 3),
     "MPC_ACC_UP_MAX": (_F, 4),
     "MPC_LAND_ALT2": (_F, 5),
+    "MPC_LAND_ALT3": (_F, 1),  # m; it has a distance sensor
+    "MPC_LAND_CRWL": (_F, 0.3),
     "MPC_LAND_SPEED": (_F, 0.7),
     "MPC_MAN_Y_MAX": (_F, 150),  # deg/s
     "MPC_THR_HOVER": (_F, 0.5),
@@ -71,6 +73,7 @@ TABLE: dict[str, tuple[ParamType, float]] = {
     "MPC_XY_P": (_F, 0.95),
     "MPC_Z_VEL_MAX_DN": (_F, 1.5),
     "MPC_Z_VEL_MAX_UP": (_F, 3),
+    "MPC_Z_VEL_P_ACC": (_F, 4),
     "NAV_ACC_RAD": (_F, 2),  # m
     "NAV_DLL_ACT": (_I, 0),
     "NAV_RCL_ACT": (_I, 2),
@@ -79,7 +82,7 @@ TABLE: dict[str, tuple[ParamType, float]] = {
     "RTL_DESCEND_ALT": (_F, 30),  # m
     "RTL_LAND_DELAY": (_F, 0),
     "RTL_MIN_DIST": (_F, 10),  # m
-    "RTL_RETURN_ALT": (_F, 60),
+    "RTL_RETURN_ALT": (_F, 30),
     "RTL_TYPE": (_I, 0),  # 0: straight home; others are not simulated
     "SYS_AUTOSTART": (_I, 4001),
     "SYS_HITL": (_I, 0),

@@ -13,6 +13,7 @@ from alula.stages.sim_vehicle.common.quaternions import Vector, added, from_eule
 
 _SPEED_GAIN = 2.5  # [1/s]
 _SPEED_INTEGRAL = 0.6  # [1/s^2]
+_HEIGHT_PER_S = 0.38  # climb rate by the distance from a height, as observed in take-offs [1/s]
 _MAX_INTEGRAL = 3.0  # [m/s^2]
 _JERK_PER_S = 5.0  # jerk of shaped vertical speeds, divided by their largest acceleration
 
@@ -29,13 +30,15 @@ class Px4PositionControl(PositionControl):
         self._integral = [0.0, 0.0, 0.0]
         self._climb_m_s = 0.0  # shaped, upward
         self._climb_m_s2 = 0.0
+        self._ramp_m_s = math.inf  # largest climb rate while it takes off
         self._course = [0.0, 0.0]  # shaped velocity, north and east
         self._hold: Vector | None = None
         self._gained: Vector | None = None  # velocity that accelerations were integrated to
 
     def rest(self, motion: Motion) -> None:
-        """Start all loops from rest on the ground."""
+        """Start all loops from rest on the ground: the take-off begins at no thrust."""
         self.reset(motion)
+        self._ramp_m_s = -self._gravity / self._parameters["MPC_Z_VEL_P_ACC"]
 
     def reset(self, motion: Motion) -> None:
         """Start all loops from the present motion."""
@@ -78,10 +81,9 @@ class Px4PositionControl(PositionControl):
 
     def height(self, motion: Motion, down_m: float) -> None:
         """See `PositionControl`."""
-        error = motion.position[2] - down_m
-        up, down = (self._parameters[f"WPNAV_SPEED_{direction}"] / 100 for direction in ("UP", "DN"))
-        acceleration = max(self._parameters["WPNAV_ACCEL_Z"], 1.0) / 100 * 0.7
-        self.climb(motion, self.speed_to(error, up if error > 0 else down, acceleration))
+        p = self._parameters
+        up, down = (p[f"WPNAV_SPEED_{direction}"] / 100 for direction in ("UP", "DN"))
+        self.climb(motion, max(-down, min(up, _HEIGHT_PER_S * (motion.position[2] - down_m))))
 
     def velocity(
         self, motion: Motion, velocity: tuple[float, float], ahead: tuple[float, float] = (0.0, 0.0)
@@ -169,11 +171,23 @@ class Px4PositionControl(PositionControl):
         self.lean_for(motion, *command)
 
     def _throttle_for(self, motion: Motion, climb_m_s: float, climb_m_s2: float) -> None:
+        climb_m_s, climb_m_s2 = self._ramped(climb_m_s, climb_m_s2)
         error = climb_m_s + motion.velocity[2]
         self._integrate(2, error)
         up = climb_m_s2 + 2 * _SPEED_GAIN * error + self._integral[2]
         hover = self._parameters["MOT_THST_HOVER"]
         self._attitude.set_throttle(hover * (1 + up / self._gravity))
+
+    def _ramped(self, climb_m_s: float, climb_m_s2: float) -> tuple[float, float]:
+        """Climb rate and acceleration within the ramp of a take-off, MPC_TKO_RAMP_T to MPC_TKO_SPEED."""
+        top_m_s = self._parameters["WPNAV_SPEED_UP"] / 100
+        if self._ramp_m_s >= top_m_s:
+            return climb_m_s, climb_m_s2
+        rise_m_s = top_m_s + self._gravity / self._parameters["MPC_Z_VEL_P_ACC"]
+        self._ramp_m_s += rise_m_s * TICK_S / max(self._parameters["TKOFF_SLEW_TIME"], TICK_S)
+        if self._ramp_m_s < 0:
+            self._integral[2] = 0.0  # still on the ground
+        return (self._ramp_m_s, 0.0) if climb_m_s > self._ramp_m_s else (climb_m_s, climb_m_s2)
 
     def _integrate(self, axis: int, error: float) -> None:
         grown = self._integral[axis] + _SPEED_INTEGRAL * error * TICK_S

@@ -1,7 +1,7 @@
 """The vehicle with PX4's behaviour: streams of set-points, arming, and failsafes.
 
-It follows PX4's documentation; PX4 itself was not observed. docs/guide/sim-vehicle.md lists what is
-uncertain.
+Times, answers and parameters that `tests/support/px4_responses.py` measures are those of PX4 1.18 in its own
+simulation, the rest follows PX4's documentation. docs/guide/sim-vehicle.md lists what is uncertain.
 """
 
 from __future__ import annotations
@@ -91,9 +91,11 @@ class Px4Copter(Copter):
     POSITION: ClassVar[type[PositionControl]] = Px4PositionControl
     FLYING: ClassVar[type[Flying]] = Px4Flying
     ARMING_DELAY_S: ClassVar[float] = 0.0
+    LANDED_S: ClassVar[float] = 2.5
 
     def _boot(self) -> None:
         self.chosen = self.flown = Px4Mode.HOLD
+        self._lands_from: Px4Mode | None = None  # mode in which its landing was chosen
         self._setpoint_s = self._stream_s = -math.inf
         self._since_s: dict[str, float] = {}  # when each cause of a failsafe began
         self._ended: set[str] = set()  # causes ended by the choice of a mode
@@ -146,13 +148,16 @@ class Px4Copter(Copter):
             self.say(WARNING, f"Switching to mode {number:#x} is not simulated")
             return False
         mode = Px4Mode(number)
-        if (reason := self.refusal(mode)) is not None:
+        is_idle = mode is Px4Mode.OFFBOARD and not self.is_armed  # then only arming needs set-points
+        if not is_idle and (reason := self.refusal(mode)) is not None:
             self.say(CRITICAL, f"Switching to {ROWS[mode].name} is currently not available: {reason}")
             return False
         if mode is Px4Mode.TAKEOFF and self._top_m is None:
             self._top_m = self._min_top_m()
         self._ended |= self._since_s.keys()
         self._has_left = False
+        if mode is Px4Mode.LAND and self.chosen is not mode:
+            self._lands_from = self.chosen
         self.chosen = mode
         self._fly(mode)
         return True
@@ -247,6 +252,9 @@ class Px4Copter(Copter):
         if self.is_armed:
             self.is_armed, self.failsafe, self._top_m = False, "", None
             self.chosen = self.flown
+            if self.chosen is Px4Mode.LAND and self._lands_from is Px4Mode.OFFBOARD:
+                self.chosen = self.flown = Px4Mode.OFFBOARD
+                self.mode = ROWS[self.flown].flown
             self.say(INFO, "Disarmed")
         return True
 

@@ -8,7 +8,9 @@ import pytest
 
 from support.ardupilot_sitl import GOAL, START, flight
 from support.paths import VEHICLES
+from support.px4_responses import MEASURED, SPREAD, measure
 from support.px4_sitl import px4
+from support.responses import Wired
 from support.sim_vehicle_process import until
 from support.small_scenes import line_plan
 
@@ -59,3 +61,12 @@ def test_lost_satellites_land_px4_before_its_own_flags_change(tmp_path):
         at = next(row for row in sim.truth if row[0] >= lost_s)
         assert math.dist(at[1:3], sim.truth[-1][1:3]) < 3.0
         assert sim.truth[-1][3] < 0.5
+
+
+def test_the_real_program_has_the_stored_answers_parameters_and_times(tmp_path):
+    with px4(tmp_path, start={}) as sim, Wired(sim.port) as line:
+        found = measure(line)
+    times = {name: found.pop(name) for name in SPREAD}
+    assert found == {name: value for name, value in MEASURED.items() if name not in SPREAD}
+    for name, (least, most) in SPREAD.items():
+        assert least < times[name] < most, (name, times)

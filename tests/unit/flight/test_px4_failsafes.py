@@ -19,7 +19,12 @@ from support.served_autopilot import Served, flight
 from support.small_scenes import box_cover, line_plan
 
 DEFAULTS = {name: float(value) for name, (_, value) in TABLE.items() if name in PX4_SAFETY}
-PREPARED = DEFAULTS | {"COM_OF_LOSS_T": 0.3, "COM_OBL_RC_ACT": 4.0, "COM_RCL_EXCEPT": 4.0}
+BOOTED = DEFAULTS | {"COM_OF_LOSS_T": 0.3, "COM_OBL_RC_ACT": 4.0, "COM_RCL_EXCEPT": 4.0}
+PREPARED = BOOTED | {
+    "RTL_RETURN_ALT": 60.0,
+    "COM_LOW_BAT_ACT": 0.0,
+    "COM_FLTT_LOW_ACT": 3.0,
+}  # as of PX4 1.15
 LANDS = {"NAV_RCL_ACT": 3.0, "COM_FLTT_LOW_ACT": 1.0}
 N, LAND, HOME = Action.NONE, Action.STOP_OR_LAND, Action.RETURN
 
@@ -141,7 +146,7 @@ def test_the_link_reads_them_all():
     with flight(served=ServedPx4(parameters={"NAV_RCL_ACT": 3, "RTL_RETURN_ALT": 7.0})) as (_, _, link):
         own = link.status.own_safety
         assert own == px4_safety(
-            {name: float(np.float32(value)) for name, value in (PREPARED | {"NAV_RCL_ACT": 3.0}).items()}
+            {name: float(np.float32(value)) for name, value in (BOOTED | {"NAV_RCL_ACT": 3.0}).items()}
             | {"RTL_RETURN_ALT": 7.0}
         )
         assert own.alone_s == pytest.approx(0.3)

@@ -362,6 +362,7 @@ class MavlinkLink:
             parameters.read(name, _OPTIONAL_S)
         if self._autopilot.settling is not None:
             parameters.read(self._autopilot.settling.name, _OPTIONAL_S)
+            self.status.settles = True
         more = (*self._autopilot.safety_parameters, *self._autopilot.responses)
         self.status.own_safety = self._autopilot.own_safety(
             parameters.read_all(dict.fromkeys(more), _TOGETHER_S), flies_rates=self._options.flies_rates
