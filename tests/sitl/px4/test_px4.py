@@ -6,18 +6,24 @@ import time
 import numpy as np
 import pytest
 
+from alula.schemas.scenarios.vehicle import read_vehicle
+from alula.stages.clearance import path_clearance
 from support.ardupilot_sitl import GOAL, START, flight
+from support.flights import mission
 from support.paths import VEHICLES
 from support.px4_responses import MEASURED, SPREAD, measure
 from support.px4_sitl import px4
 from support.responses import Wired
 from support.sim_vehicle_process import until
-from support.small_scenes import line_plan
+from support.small_scenes import ball_scene, box_cover, line_plan
 
 pytestmark = [pytest.mark.sitl, pytest.mark.realtime]
 
 RESTING = 0x3FF
-SIH = ("--vehicle", str(VEHICLES / "px4-sih.toml"))
+VEHICLE = VEHICLES / "px4-sih.toml"
+SIH = ("--vehicle", str(VEHICLE))
+HULLS = box_cover([((35, 12, 0), (45, 22, 40)), ((-20, -45, 0), (110, -40, 40))])  # 1.2 m beside the line
+BALLS = ball_scene([(4.0, 1.5, 1.5), (4.0, -4.2, 1.5)], 0.3)
 
 
 def test_a_dry_run_of_a_ready_px4_passes(tmp_path):
@@ -70,3 +76,31 @@ def test_the_real_program_has_the_stored_answers_parameters_and_times(tmp_path):
     assert found == {name: value for name, value in MEASURED.items() if name not in SPREAD}
     for name, (least, most) in SPREAD.items():
         assert least < times[name] < most, (name, times)
+
+
+@pytest.mark.parametrize(
+    "name", ["polytope-cbf", "cone-di", "safer-splat", "cone-ecbf", "cone-backup", "shield"]
+)
+def test_no_filter_touches_anything_with_the_noise_of_its_simulation(tmp_path, name):
+    """The plan may not be flown to its end by such an estimate, but the exit code says so."""
+    plan = line_plan((0.0, 0.0, 1.5), (8.0, 0.0, 1.5), 17.5)  # 1 m/s
+    is_scene = name not in ("polytope-cbf", "shield")
+    words = ("--near", "1.0", "--filter", name, "--allow-tight", *SIH)
+    with (
+        px4(tmp_path) as sim,
+        flight(sim, tmp_path, *words, plan=plan, cover=BALLS if is_scene else HULLS) as fly,
+    ):
+        code = fly.end(200.0)
+        path = np.array([row[1:] for row in sim.truth if row[3] > 0.4])
+    here = {"scene": BALLS} if is_scene else {"cover": HULLS}
+    made = mission(name, plan=plan, vehicle=read_vehicle(VEHICLE), is_clear=True, **here)
+    assert min(float(path_clearance(path, each).min()) for _, each in made.obstacles) > 0.15
+    if code == 0:
+        assert "plan finished: landing" in fly.said
+        assert path[:, 0].max() > 7.0
+    elif fly.at("plan finished: landing"):
+        assert code == 4, fly.said
+        assert "landed away from the plan's end" in fly.said
+    else:
+        assert code in (4, 6), fly.said
+        assert "the flight ended early" in fly.said or "took too long" in fly.said

@@ -202,11 +202,11 @@ def test_a_gap_in_flight_repeats_the_step():
         begun, freeze = [], fault("freeze", duration=0.4)
         decide = flight.steps.decide
 
-        def watched(state, age_s, target):
+        def watched(*seen):
             if len(flight.steps.tape.steps) == 3 and not begun:
                 begun.append(True)
                 freeze(flight)
-            return decide(state, age_s, target)
+            return decide(*seen)
 
         flight.steps.decide = watched
 
