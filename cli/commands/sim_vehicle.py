@@ -248,7 +248,10 @@ def _crazyflie(
     vehicle, _ = vehicle_named(vehicle_name)
     has_app = any(name.startswith("alula.") for name in values)
     crazyflie = SimulatedCrazyflie(
-        vehicle, CrazyflieOptions(start=start, yaw_rad=yaw_rad, needs_poses=poses, has_app=has_app, seed=seed)
+        vehicle,
+        CrazyflieOptions(
+            start=start, yaw_rad=yaw_rad, arms_itself=True, needs_poses=poses, has_app=has_app, seed=seed
+        ),
     )
     if ground is not None:
         crazyflie.body.stand_on(ground)

@@ -20,7 +20,7 @@ _STOP, _LEGACY_VELOCITY, _FULL, _POSITION, _VELOCITY = 0, 1, 6, 7, 8
 
 # Mellinger's default gains divided by the mass: 0.4 and 0.2 N/m over 0.029 kg, in z 1.25 and 0.5 N/m.
 _KP, _KV = np.array([13.8, 13.8, 43.0]), np.array([6.9, 6.9, 17.2])
-_TO_SPEED_PER_S, _TO_ACCELERATION_PER_S = 2.0, 4.3  # PID: m to m/s, and 25 degrees of tilt per m/s
+_TO_SPEED_PER_S, _TO_ACCELERATION_PER_S = 2.0, 3.7  # PID: m to m/s; 25 degrees of tilt per m/s, late
 _MAX_M_S2 = 12.0
 
 

@@ -364,7 +364,7 @@ def responses():
 
 def test_lags_are_what_the_page_says_and_the_default_covers_them():
     measured = {name: DT * (1 + float(np.argmax(stop < math.exp(-1)))) for name, stop in responses()}
-    assert measured == pytest.approx({"ardupilot": 1.11, "sim": 0.29, "crazyflie": 0.33}, abs=0.01)
+    assert measured == pytest.approx({"ardupilot": 1.11, "sim": 0.29, "crazyflie": 0.34}, abs=0.01)
     lags = mission(cover=box_cover(BOXES), is_clear=True, speed_m_s=3.0).config.velocity_lag_s
     assert lags == pytest.approx((1.406, 1.406, 2.056), abs=0.001)
     assert lags[0] >= 1.25 * max(measured.values())
