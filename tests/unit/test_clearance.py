@@ -352,6 +352,9 @@ def test_path_metrics_of_a_cubic():
     assert (single.length_m, single.max_speed_m_s, single.max_jerk_m_s3) == (0, 0, 0)
     with pytest.raises(InputError):
         path_metrics(path, 0)
+    for bad in (np.empty((0, 3)), np.zeros((2, 2)), np.zeros(3), [[0, 0, math.nan]]):
+        with pytest.raises(InputError, match="shape"):
+            path_metrics(bad, dt)
 
 
 def test_the_clearance_of_a_sphere_is_that_of_its_path_less_the_radius():
