@@ -369,3 +369,20 @@ def test_motion_as_the_velocity_says_is_no_slip_and_a_creep_of_the_ground_is(ste
         crept = resting.slip_m(state((creep * t, 0, 0), (creep, 0, 0), at), is_resting=True)
         assert crept == pytest.approx(max(0.0, creep * min(t, 2.0) - 0.1), abs=0.2 * creep + 1e-9)
     assert math.isinf(flying.slip_m(state((math.nan, 0, 0), at=at + 0.01), is_resting=False))
+
+
+@pytest.mark.parametrize("settles", [True, False])
+def test_a_landing_that_does_not_descend_is_an_event_only_where_something_can_be_ordered(settles):
+    begun = []
+
+    def poll(vehicle, now):
+        vehicle.status.settles = settles
+        if Order.LAND in vehicle.orders:
+            begun[:] = begun or [now, *vehicle.x[:3]]
+            low = np.array([*begun[1:3], vehicle.ground_m - 1.0])
+            vehicle.hold_at = np.array(begun[1:]) if now - begun[0] < 5.0 else low
+
+    loop, vehicle = fly(on_poll=poll)
+    assert (Event.STILL in [taken.event for _, taken in loop.taken]) == settles
+    assert (Order.SETTLE in vehicle.orders) == settles
+    assert loop.supervision.cause is Event.PLAN_FINISHED
