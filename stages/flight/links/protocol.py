@@ -134,15 +134,17 @@ class Ward:
     """What a watchdog process needs to stop and land a vehicle without this program.
 
     Attributes:
-        settings: as for `flight.watchdog.companion.Takeover`.
+        settings: as for `flight.watchdog.companion.Takeover`, or for `crazyflie_companion.Takeover`.
         place: returns where the vehicle is reached now.
         reported: returns the mode as the vehicle encodes it (custom_mode), when that report arrived [s],
             minus infinity for none, and the newest time stamp of a signature.
+        speaks_crtp: whether the vehicle is a Crazyflie; then the process has a line of its own.
     """
 
     settings: dict[str, Any]
     place: Callable[[], Place]
     reported: Callable[[], tuple[int, float, int]]
+    speaks_crtp: bool = False
 
 
 def refusal_words(order: Order, reason: str) -> str:

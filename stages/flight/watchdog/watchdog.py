@@ -18,6 +18,7 @@ from alula.schemas.errors import LinkError
 from alula.stages.flight.links.protocol import Link, Place, Ward
 from alula.stages.flight.watchdog import companion
 
+_OF_CRAZYFLIE = "alula.stages.flight.watchdog.crazyflie_companion"
 _START_S = 5.0  # the process starts in some hundredths of a second
 _END_S = 1.0
 _LOOK = 25  # beats between two looks whether the process is there
@@ -73,8 +74,9 @@ class Watchdog:
     def _start(self, theirs: socket.socket, memory: int) -> None:
         """Start the process with its end of the socket pair and the descriptor of the memory."""
         files = theirs.fileno(), memory
+        program = ["-P", "-m", _OF_CRAZYFLIE] if self._ward.speaks_crtp else ["-I", "-S", companion.__file__]
         self.process = subprocess.Popen(
-            [sys.executable, "-I", "-S", companion.__file__, *map(str, files)],
+            [sys.executable, *program, *map(str, files)],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             pass_fds=files,
@@ -138,10 +140,11 @@ def guard(link: Link) -> Watchdog | None:
     Raises:
         LinkError: the process does not start.
     """
-    guarded: Callable[[], Ward] | None = getattr(link, "guarded", None)
-    if guarded is None or not is_possible():
+    guarded: Callable[[], Ward | None] | None = getattr(link, "guarded", None)
+    ward = None if guarded is None or not is_possible() else guarded()
+    if ward is None:
         return None
-    watchdog = Watchdog(guarded())
+    watchdog = Watchdog(ward)
     own = link.status.own_safety
     if own is not None:
         alone_s = math.inf if math.isnan(own.alone_s) else own.alone_s

@@ -11,10 +11,12 @@ import numpy as np
 
 from alula.schemas.arrays import FloatArray
 
-_STOP, _GO_TO, _TAKE_OFF, _LAND, _GO_TO_2 = 3, 4, 7, 8, 12
+_STOP, _GO_TO, _TAKE_OFF, _LAND, _LAND_BY_SPEED, _GO_TO_2 = 3, 4, 7, 8, 10, 12
 _BUSY, _UNKNOWN = 1, 8
 _FARTHEST = 1000.0  # maximum of positions [m] and durations [s]
 _FORMATS = {_TAKE_OFF: "<Bff?f", _LAND: "<Bff?f", _GO_TO: "<BBfffff", _GO_TO_2: "<BBBfffff"}
+_FORMATS[_LAND_BY_SPEED] = "<Bf?f?f"
+_LANDING_M_S = 0.5  # of a landing by speed that states none
 
 
 class Plan(Enum):
@@ -76,11 +78,16 @@ class Planner:
             return _UNKNOWN
         if command == _STOP:
             self.plan = Plan.IDLE
-        elif command in (_TAKE_OFF, _LAND):
-            _, height, yaw, keeps, duration = values
+        elif command in (_TAKE_OFF, _LAND, _LAND_BY_SPEED):
+            if command == _LAND_BY_SPEED:
+                _, height, is_relative, yaw, keeps, speed = values
+                height = here.position[2] - height if is_relative else height
+                duration = abs(height - here.position[2]) / (speed if speed > 0 else _LANDING_M_S)
+            else:
+                _, height, yaw, keeps, duration = values
             if command == _TAKE_OFF and self.plan is not Plan.IDLE:
                 return _BUSY
-            if command == _LAND and self.plan is Plan.LANDING:
+            if command != _TAKE_OFF and self.plan is Plan.LANDING:
                 return _BUSY
             still = Goal(here.position, np.zeros(3), np.zeros(3), here.yaw_rad)
             end = np.array([*here.position[:2], height])

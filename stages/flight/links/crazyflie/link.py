@@ -21,7 +21,7 @@ from alula.stages.flight.links.crazyflie.session import Session
 from alula.stages.flight.links.crazyflie.setpoints import SetpointEncoder
 from alula.stages.flight.links.mocap import PoseFeed
 from alula.stages.flight.links.options import LinkOptions
-from alula.stages.flight.links.protocol import Order, VehicleState, VehicleStatus
+from alula.stages.flight.links.protocol import Order, Place, VehicleState, VehicleStatus, Ward
 from alula.stages.flight.links.vehicle_clock import VehicleClock
 from alula.stages.vehicles.packed_attitude import expand_quat_wxyz
 from alula.stages.vehicles.setpoints import AccelerationSetpoint, Setpoint, VelocitySetpoint
@@ -63,6 +63,7 @@ class CrazyflieLink:
 
     def __init__(self, address: Address, options: LinkOptions) -> None:
         given = read_address_options(address)
+        self._udp = address.host_port() if address.scheme == "udp" else None
         self._kind, self._has_watchdog = given.kind, given.has_watchdog
         self._options = options
         self._session = Session(f"{address.scheme}:{address.place}", options)
@@ -144,6 +145,15 @@ class CrazyflieLink:
             raise
         self._is_prepared = True
         return lines
+
+    def guarded(self) -> Ward | None:
+        """What a watchdog process needs; None with `watchdog=1`, which stops the motors. After `prepare`."""
+        if self._has_watchdog:
+            return None
+        floor = 0.0 if self._motion is None else self._motion.floor_m
+        settings = {"uri": self._session.uri, "udp": self._udp, "floor_m": floor}
+        nowhere = Place(None, "", None)
+        return Ward(settings, lambda: nowhere, lambda: (0, -math.inf, 0), speaks_crtp=True)
 
     def configure(self, values: Mapping[str, float]) -> list[str]:
         """Set parameters, such as the app's `alula.radius`; `close` restores them. A line for each change.
