@@ -39,6 +39,7 @@ POLYTOPE_TICK = np.dtype(
         *((name, "<u4") for name in ("boxes", "hulls", "planes", "made", "exponentials")),
     ]
 )
+CHORD_TICK = np.dtype([*((name, POLYTOPE_TICK[name]) for name in POLYTOPE_TICK.names or ()), ("rows", "<u4")])
 DR_ACBF_TICK = np.dtype(
     [
         ("status", "<u4"),
@@ -74,6 +75,7 @@ STACK_TICK = np.dtype(
 )
 TICKS = {
     "polytope": (2, POLYTOPE_TICK),
+    "chord": (2, CHORD_TICK),
     "dr_acbf": (1, DR_ACBF_TICK),
     "geofence": (2, GEOFENCE_TICK),
     "stack": (2, STACK_TICK),
@@ -211,6 +213,16 @@ def polytope_inputs(
     """Inputs of the replay `polytope`; parameters are extent, radius, beta, kappa, dt and v_max."""
     rows = np.hstack([positions, nominal]).astype("<f4")
     return struct.pack("<I6f", len(rows), *parameters) + rows.tobytes()
+
+
+def chord_inputs(states: NDArray[np.float32], parameters: Sequence[float]) -> bytes:
+    """Inputs of the replay `chord`.
+
+    Args:
+        states: rows of position, velocity and nominal velocity, shape (ticks, 9).
+        parameters: extent, radius, beta, lag, dt and v_max.
+    """
+    return struct.pack("<I6f", len(states), *parameters) + states.astype("<f4").tobytes()
 
 
 def dr_acbf_inputs(

@@ -26,6 +26,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.append(str(Path(__file__).resolve().parent))
 sys.path.sort(key=sys.path[-1].__eq__)  # last: newer standard libraries have a package `compression`
 
+import chord_ticks
 import encounter_ticks
 import fence_ticks
 import numpy as np
@@ -73,6 +74,8 @@ ENTRIES = (
     "alula_map_open",
     "alula_polytope_cbf_open",
     "alula_polytope_cbf_filter",
+    "alula_chord_open",
+    "alula_chord_filter",
     "alula_dr_acbf_init",
     "alula_dr_acbf_filter",
     "alula_geofence_init",
@@ -270,6 +273,8 @@ def measure(folder: Path, say: Callable[[str], None]) -> Measured:
     say("all filters")
     image = encode_map(field(FIELDS[0]), indexed=True)
     parts.append(stack_ticks.measure(firmware, work, image, np.array(HALVES[FIELDS[0]]) * G))
+    say("vehicles that lag")
+    parts.append(chord_ticks.measure(firmware, work, image, np.array(HALVES[FIELDS[0]]) * G, tight))
     for part in parts:
         for name in ("ticks", "host_target_mismatches"):
             found[name] += part.pop(name)

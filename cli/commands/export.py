@@ -53,11 +53,11 @@ def command(artifact: Path | None, config: ExportConfig, key_path: Path | None, 
     of map and obstacles. --foxglove-layout writes a layout for the logs of runs, and needs no INPUT.
 
     With --target the map gets an index, and the C header is written beside it. Export prints the bytes of the
-    map, and the instructions and time of a tick of polytope-cbf (0.1 m radius, 1 m/s, otherwise default
-    parameters): the maximum over positions all over the map, its fraction of the period of each control rate,
-    and a bound for any position (every hull counts). A map that does not fit ends with exit code 5 and the
-    number of bytes that would fit. A map whose tick takes longer than the period of the control rate (--rate)
-    ends with exit code 4. Neither writes a file.
+    map, and the instructions and time of a tick of the filter (of the Crazyflie's app with its defaults, else
+    of polytope-cbf with 0.1 m radius and 1 m/s): the maximum over positions all over the map, its fraction of
+    the period of each control rate, and a bound for any position (every hull counts). A map that does not fit
+    ends with exit code 5 and the number of bytes that would fit. A map whose tick takes longer than the period
+    of the control rate (--rate) ends with exit code 4. Neither writes a file.
 
     With --tiles the map becomes a folder of tiles, each a whole onboard map in which all that is not within
     --reach is an obstacle. docs/guide/tiles.md has the guarantee, and the reach that a speed needs.

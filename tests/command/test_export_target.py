@@ -63,7 +63,7 @@ def test_what_a_tick_takes_is_told_for_each_rate(here, capsys):
     assert summary["tick_us"] < summary["tick_us_bound"]
     assert summary["bytes_left"] == crazyflie.map_room - summary["image_bytes"]
     plain = exported(capsys, "tiny.cover.npz", "-o", "c.map.bin", "--target", "c")["summary"]
-    assert plain["tick_instructions"] == summary["tick_instructions"]
+    assert 0 < plain["tick_instructions"] < summary["tick_instructions"]  # of polytope-cbf, without a lag
     assert not {"tick_us", "bytes_left"} & plain.keys()
 
 

@@ -7,6 +7,8 @@
  *                alula_polytope_cbf_filter
  *   dr-acbf      alula_dr_acbf_init         acceleration commands among moving obstacles and walls
  *                alula_dr_acbf_filter
+ *   chord        alula_chord_open           the same for a vehicle that follows velocities with a lag
+ *                alula_chord_filter
  *   geofence     alula_geofence_init        throttle and rates of a pilot, inside a box or polytope, outside the map
  *                alula_geofence_filter
  *   stack        alula_stack_init           these filters one after the other, from velocities to throttle and rates
@@ -23,6 +25,7 @@
 #ifndef ALULA_H
 #define ALULA_H
 
+#include "alula_chord.h"
 #include "alula_dr_acbf.h"
 #include "alula_geofence.h"
 #include "alula_map.h"

@@ -301,6 +301,21 @@ class PolytopeCbf:
         The single-precision map: plane (F, 4), plane_start (n + 1), lower and upper (n, 3), extent and slack [m].
         """
 
+class OnboardChord:
+    """
+    The onboard filter of a vehicle that follows velocities with a lag: alula_chord.h.
+    """
+
+    def __init__(self, image: bytes, config: PolytopeCbfConfig, lag_s: float, extent_m: float = 0.0) -> None: ...
+
+    def filter(self, x: Sequence[float], v: Sequence[float], u_nom: Sequence[float], is_taking_off: bool = False) -> tuple[list[float], int, float, float]:
+        """(u, status, least D_k - r, psi - r at x); margins in metres."""
+
+    def work(self) -> tuple[int, int, int, int, int]:
+        """
+        Of the last call: boxes, hulls, values of planes, decoded planes, rows.
+        """
+
 def onboard_exp_log(x: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> tuple[NDArray[numpy.float32], NDArray[numpy.float32]]:
     """
     The onboard exponential and logarithm, for checking their error bounds.

@@ -62,7 +62,7 @@ class ExportConfig(Config):
     )
     rate_hz: float | None = option(
         None,
-        "Rate at which the target calls polytope-cbf [Hz]; a map whose worst tick takes longer than its "
+        "Rate at which the target calls the filter [Hz]; a map whose worst tick takes longer than its "
         "period is refused with exit code 4; default: 100 on a crazyflie, no check elsewhere.",
         group="Onboard maps",
         gt=0,

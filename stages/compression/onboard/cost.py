@@ -1,4 +1,4 @@
-"""Cost of an onboard map on its target: bytes, and instructions of a tick of polytope-cbf."""
+"""Cost of an onboard map on its target: bytes, and instructions of a tick of polytope-cbf or the chord."""
 
 from __future__ import annotations
 
@@ -19,33 +19,43 @@ from alula.stages.compression.onboard.layout import LEAF_HULLS, index_bytes
 # `make onboard` replays.
 BASE_INSTRUCTIONS = 2400
 INSTRUCTIONS = np.array([136, 155, 30, 43, 135])
+# The same of the chord filter: box, hull, value of a plane, decoded plane, row.
+CHORD_INSTRUCTIONS = np.array([136, 400, 30, 60, 14_000])
 SAMPLES, REFINED = 3000, 300
 ASSUMED: dict[str, Any] = {"radius_m": 0.1, "beta": 2.0, "kappa": 100.0, "v_max": 1.0, "dt_s": 0.002}
+ASSUMED_OF_CHORD: dict[str, Any] = {"radius_m": 0.15, "beta": 2.0, "v_max": 1.0, "dt_s": 0.01}
+LAG_S = 0.35
 # Maximum number of passes over all hulls in a tick: two guesses, psi, minimum, sum, two checks of the step.
 _PASSES = 7
+# The chord filter visits each hull once. It takes values of a plane: one in the walk, two at each end of the
+# chord, one in each of 16 passes, and two more inside of a margin. It keeps 24 rows.
+_CHORD_VALUES, _CHORD_ROWS = 23, 24
 
 
-def tick_instructions(work: NDArray[np.int64]) -> NDArray[np.int64]:
+def tick_instructions(work: NDArray[np.int64], *, of_chord: bool = False) -> NDArray[np.int64]:
     """Upper bound of the instructions of ticks, from their counts of work.
 
     Args:
-        work: boxes, hulls, planes, decoded planes and exponentials that `PolytopeCbf.work` counts, shape
-            (..., 5).
+        work: what `PolytopeCbf.work` counts, or `OnboardChord.work`, shape (..., 5).
+        of_chord: the latter.
 
     Returns:
         Instructions, shape (...).
     """
-    total: NDArray[np.int64] = np.asarray(work, np.int64) @ INSTRUCTIONS
+    total: NDArray[np.int64] = np.asarray(work, np.int64) @ (CHORD_INSTRUCTIONS if of_chord else INSTRUCTIONS)
     return total + BASE_INSTRUCTIONS
 
 
-def worst_tick(raw: bytes, image: MapImage) -> dict[str, int]:
-    """Maximum instructions of a tick of polytope-cbf on a map, with the parameters `ASSUMED`.
+def worst_tick(raw: bytes, image: MapImage, *, of_chord: bool = False) -> dict[str, int]:
+    """Maximum instructions of a tick on a map, with the parameters `ASSUMED` or those of the Crazyflie's app.
 
     `measured` is the maximum over `SAMPLES` positions in and around the boxes of hulls, with nominal
     commands towards them, and over further positions around the worst of these. Consecutive positions are
     far apart, so that few decoded hulls can be reused. `bound` holds for any position and any parameters: it
     assumes that every pass of a tick visits and decodes every hull.
+
+    Args:
+        of_chord: of the chord filter, at the speed limit along the nominal command; else of polytope-cbf.
 
     Returns:
         `measured` and `bound` [instructions].
@@ -64,14 +74,21 @@ def worst_tick(raw: bytes, image: MapImage) -> dict[str, int]:
         + rng.choice([0.0, 0.0, 0.4], (SAMPLES, 1)) * rng.normal(size=(SAMPLES, 3))
     )
     nominal = 0.5 * (low + high) - points
-    native = _core.PolytopeCbf.from_image(raw, extent_m=extent, **ASSUMED)
+    plain = _core.PolytopeCbf.from_image(raw, extent_m=extent, **ASSUMED)
+    config = _core.PolytopeCbfConfig(**ASSUMED_OF_CHORD)
+    chord = _core.OnboardChord(raw, config, LAG_S, extent + LAG_S * config.v_max)
 
     def cost(at: NDArray[np.float64]) -> NDArray[np.int64]:
         work = []
-        for x, u in zip(np.clip(at, -extent, extent).tolist(), nominal.tolist(), strict=True):
-            native.filter(x, u)
-            work.append(native.work())
-        return tick_instructions(np.array(work))
+        speed = np.maximum(np.linalg.norm(nominal, axis=1, keepdims=True), 1e-9) / config.v_max
+        ticks = (np.clip(at, -extent, extent).tolist(), (nominal / speed).tolist(), nominal.tolist())
+        for x, v, u in zip(*ticks, strict=True):
+            if of_chord:
+                chord.filter(x, v, u)
+            else:
+                plain.filter(x, u)
+            work.append(chord.work() if of_chord else plain.work())
+        return tick_instructions(np.array(work), of_chord=of_chord)
 
     found = cost(points)
     measured = int(found.max())
@@ -81,7 +98,13 @@ def worst_tick(raw: bytes, image: MapImage) -> dict[str, int]:
         found = cost(points)
         measured = max(measured, int(found.max()))
     nodes = -(-hulls // LEAF_HULLS) * 4 // 3 + 16
-    every = np.array([hulls + nodes, hulls, image.half_planes, image.half_planes, image.half_planes])
+    planes = image.half_planes
+    if of_chord:
+        every = np.array(
+            [hulls + nodes, hulls, _CHORD_VALUES * (planes + 6 * hulls), planes + 6 * hulls, _CHORD_ROWS]
+        )
+        return {"measured": measured, "bound": int(tick_instructions(every, of_chord=True))}
+    every = np.array([hulls + nodes, hulls, planes, planes, planes])
     return {"measured": measured, "bound": int(tick_instructions(_PASSES * every))}
 
 
@@ -135,7 +158,7 @@ def require_rate(facts: Mapping[str, Any], hulls: int, target: Target, rate_hz: 
         return
     tick, fast = facts["tick_us"] / 1000, 1e6 / facts["tick_us"]
     raise CheckError(
-        f"a tick of polytope-cbf on {hulls} hulls takes up to {tick:.3g} ms on {target.name}, {share:.3g} "
+        f"a tick of the filter on {hulls} hulls takes up to {tick:.3g} ms on {target.name}, {share:.3g} "
         f"times its period at {rate:g} Hz; merge to fewer hulls, or give --rate below {fast:.3g}"
     )
 
@@ -143,10 +166,10 @@ def require_rate(facts: Mapping[str, Any], hulls: int, target: Target, rate_hz: 
 def target_facts(raw: bytes, image: MapImage, target: Target) -> dict[str, Any]:
     """Summary figures of a map on a target.
 
-    `share_at_R_hz` is the fraction of a control period at R Hz that polytope-cbf takes at the worst position
+    `share_at_R_hz` is the fraction of a control period at R Hz that the filter takes at the worst position
     that was tried.
     """
-    worst = worst_tick(raw, image)
+    worst = worst_tick(raw, image, of_chord=target.follows_late)
     facts: dict[str, Any] = {
         "target": target.name,
         "index_bytes": image.index_bytes,

@@ -14,6 +14,7 @@
 #include "alula/base/parallel.hpp"
 #include "alula/filters/option_fields.hpp"
 #include "alula/filters/polytope_cbf.hpp"
+#include "alula_chord.h"
 #include "arrays.hpp"
 #include "fields.hpp"
 
@@ -123,6 +124,41 @@ std::tuple<std::uint32_t, std::uint32_t, std::uint32_t, std::uint32_t, std::uint
   return {w.boxes, w.hulls, w.planes, w.made, w.exponentials};
 }
 
+// The chord of a vehicle that lags, as on a microcontroller.
+class OnboardChord {
+ public:
+  OnboardChord(const nb::bytes& image, const PolytopeCbfConfig& config, double lag_s, double extent_m)
+      : image_(std::vector<std::uint8_t>(static_cast<const std::uint8_t*>(image.data()),
+                                         static_cast<const std::uint8_t*>(image.data()) + image.size())) {
+    const alula_polytope_cbf_config rounded = to_onboard(config);
+    if (alula_chord_open(&chord_, &image_.map(), round_up(extent_m), &rounded, static_cast<float>(lag_s)) !=
+        ALULA_READY)
+      throw std::invalid_argument("the onboard filter rejects the map or the parameters");
+  }
+
+  std::tuple<Triple, int, double, double> filter(const Triple& x, const Triple& v, const Triple& u_nom,
+                                                 bool is_taking_off) {
+    float numbers[3][3];
+    for (std::size_t i = 0; i < 3; ++i) {
+      numbers[0][i] = static_cast<float>(x[i]);
+      numbers[1][i] = static_cast<float>(v[i]);
+      numbers[2][i] = static_cast<float>(u_nom[i]);
+    }
+    alula_polytope_result result;
+    const auto status = alula_chord_filter(&chord_, numbers[0], numbers[1], numbers[2], is_taking_off, &result);
+    return {{result.u[0], result.u[1], result.u[2]}, static_cast<int>(status), result.margin_m, result.hard_margin_m};
+  }
+
+  std::tuple<std::uint32_t, std::uint32_t, std::uint32_t, std::uint32_t, std::uint32_t> work() const {
+    const alula_polytope_work& w = chord_.hulls.work;
+    return {w.boxes, w.hulls, w.planes, w.made, chord_.count};
+  }
+
+ private:
+  OnboardImage image_;
+  alula_chord chord_;
+};
+
 }  // namespace
 }  // namespace alula
 
@@ -170,6 +206,14 @@ void bind_polytope_cbf(nb::module_& m) {
       .def("map_arrays", &map_arrays,
            "The single-precision map: plane (F, 4), plane_start (n + 1), lower and upper (n, 3), extent and slack "
            "[m].");
+
+  nb::class_<OnboardChord>(m, "OnboardChord",
+                           "The onboard filter of a vehicle that follows velocities with a lag: alula_chord.h.")
+      .def(nb::init<const nb::bytes&, const PolytopeCbfConfig&, double, double>(), "image"_a, "config"_a, "lag_s"_a,
+           "extent_m"_a = 0.0)
+      .def("filter", &OnboardChord::filter, "x"_a, "v"_a, "u_nom"_a, "is_taking_off"_a = false,
+           "(u, status, least D_k - r, psi - r at x); margins in metres.")
+      .def("work", &OnboardChord::work, "Of the last call: boxes, hulls, values of planes, decoded planes, rows.");
 
   m.def(
       "onboard_exp_log",

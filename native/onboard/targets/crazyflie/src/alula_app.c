@@ -1,4 +1,4 @@
-/* The out-of-tree controller of a Crazyflie: set-points through polytope-cbf, then the firmware's own controller.
+/* The out-of-tree controller of a Crazyflie: set-points through the chord filter, then the firmware's own controller.
  *
  * The stabilizer's task calls controllerOutOfTree; the app's task does the work of the filter (crazyflie_filter.h).
  */
@@ -45,8 +45,8 @@ static float velocity[3];
 
 /* NaN equals NaN here: refused parameters are not tried again every millisecond. */
 static bool is_same(const alula_crazyflie_config* a, const alula_crazyflie_config* b) {
-  const float one[] = {a->radius_m, a->beta, a->kappa, a->v_max, a->period_s, a->gain, a->variance};
-  const float other[] = {b->radius_m, b->beta, b->kappa, b->v_max, b->period_s, b->gain, b->variance};
+  const float one[] = {a->radius_m, a->beta, a->lag, a->v_max, a->period_s, a->gain, a->variance};
+  const float other[] = {b->radius_m, b->beta, b->lag, b->v_max, b->period_s, b->gain, b->variance};
   for (uint32_t i = 0; i < sizeof one / sizeof one[0]; ++i) {
     if (one[i] != other[i] && (one[i] == one[i] || other[i] == other[i])) return false;
   }
@@ -156,7 +156,7 @@ PARAM_ADD(PARAM_UINT8, attitude, &wanted.attitude)
 PARAM_ADD(PARAM_UINT8, divider, &divider)
 PARAM_ADD(PARAM_FLOAT, radius, &wanted.radius_m)
 PARAM_ADD(PARAM_FLOAT, beta, &wanted.beta)
-PARAM_ADD(PARAM_FLOAT, kappa, &wanted.kappa)
+PARAM_ADD(PARAM_FLOAT, lag, &wanted.lag)
 PARAM_ADD(PARAM_FLOAT, vmax, &wanted.v_max)
 PARAM_ADD(PARAM_FLOAT, gain, &wanted.gain)
 PARAM_ADD(PARAM_FLOAT, variance, &wanted.variance)

@@ -10,7 +10,7 @@ alula_crazyflie_config alula_crazyflie_defaults(void) {
   alula_crazyflie_config config;
   config.radius_m = 0.15F;
   config.beta = filter.beta;
-  config.kappa = filter.kappa;
+  config.lag = 0.35F;
   config.v_max = 1.0F;
   config.period_s = 0.01F;
   config.gain = 2.0F;
@@ -27,18 +27,22 @@ static int all_finite(const float* x, int count) {
   return 1;
 }
 
-/* Checks the parameters of this file; polytope-cbf checks the rest. */
+/* Checks the parameters of this file; the filter checks the rest. */
 static int config_is_good(const alula_crazyflie_config* c) {
   return c->gain > 0.0F && c->gain <= LARGEST_GAIN && c->v_max <= LARGEST_SPEED && c->variance > 0.0F &&
          c->variance <= 1.0F && c->period_s >= 0.001F && c->period_s <= 0.1F;
 }
 
 int alula_crazyflie_configure(alula_crazyflie_filter* filter, const alula_crazyflie_config* config) {
-  const alula_polytope_cbf_config wanted = {
-      config->radius_m, config->beta, config->kappa, config->period_s, config->v_max, ALULA_SMOOTHING_SOUND, 0};
+  alula_polytope_cbf_config wanted = ALULA_POLYTOPE_CBF_DEFAULTS;
+  wanted.radius_m = config->radius_m;
+  wanted.beta = config->beta;
+  wanted.dt_s = config->period_s;
+  wanted.v_max = config->v_max;
   if (!filter->map.data || !config_is_good(config)) return 0;
   /* refused parameters leave the filter unchanged */
-  if (alula_polytope_cbf_open(&filter->cbf, &filter->map, ALULA_CRAZYFLIE_EXTENT, &wanted) != ALULA_READY) return 0;
+  if (alula_chord_open(&filter->chord, &filter->map, ALULA_CRAZYFLIE_EXTENT, &wanted, config->lag) != ALULA_READY)
+    return 0;
   filter->config = *config;
   return 1;
 }
@@ -61,6 +65,7 @@ int alula_crazyflie_open(alula_crazyflie_filter* filter, const uint8_t* image, u
   filter->is_open = 0;
   filter->turn = ALULA_CRAZYFLIE_FREE;
   filter->has_request = 0;
+  filter->is_taking_off = 1;
   filter->still = 0;
   filter->still_way = 0.0F;
   filter->late = filter->corrections = 0U;
@@ -160,6 +165,7 @@ static void collect(alula_crazyflie_filter* filter) {
     return;
   }
   filter->margin_m = filter->result.margin_m;
+  if (filter->margin_m >= 0.0F) filter->is_taking_off = 0;
   const int is_known = (uint32_t)filter->answer <= ALULA_FILTER_REFUSED;
   const alula_crazyflie_status status = is_known ? MEANING[filter->answer] : ALULA_CRAZYFLIE_REFUSED;
   if (!had_request) { /* from before an interruption: for another position */
@@ -183,6 +189,17 @@ static void interrupt(alula_crazyflie_filter* filter, alula_crazyflie_status sta
   }
 }
 
+/* The state of the request: that of a vehicle with this lag at the end of the period. */
+static void predict(alula_crazyflie_filter* filter, const alula_crazyflie_state* state, float period_s) {
+  const float lag = filter->config.lag, left = lag > 0.0F ? alula_expf(-period_s / lag) : 0.0F;
+  for (int i = 0; i < 3; ++i) {
+    const float u = filter->output.velocity[i], off = state->velocity[i] - u;
+    filter->at[i] = state->position[i] + period_s * u + lag * (1.0F - left) * off;
+    filter->moving[i] = u + left * off;
+  }
+  filter->from_the_ground = filter->is_taking_off;
+}
+
 void alula_crazyflie_restart(alula_crazyflie_filter* filter) { interrupt(filter, ALULA_CRAZYFLIE_STARTING, 0); }
 
 void alula_crazyflie_step(alula_crazyflie_filter* filter, const alula_crazyflie_request* request,
@@ -201,6 +218,7 @@ void alula_crazyflie_step(alula_crazyflie_filter* filter, const alula_crazyflie_
     interrupt(filter, ALULA_CRAZYFLIE_NOT_READY, 1);
   } else if (axes_off == 3 && request->thrust == 0.0F) {
     interrupt(filter, ALULA_CRAZYFLIE_OFF, 1);
+    filter->is_taking_off = 1;
   } else if (!config->enabled) {
     interrupt(filter, ALULA_CRAZYFLIE_DISABLED, 1);
   } else if (axes_off > 0) {
@@ -216,10 +234,8 @@ void alula_crazyflie_step(alula_crazyflie_filter* filter, const alula_crazyflie_
     if (read != ALULA_CRAZYFLIE_OK) {
       interrupt(filter, read, 0);
     } else if (__atomic_load_n(&filter->turn, __ATOMIC_ACQUIRE) == ALULA_CRAZYFLIE_FREE) {
-      for (int i = 0; i < 3; ++i) {
-        filter->at[i] = state->position[i] + period_s * filter->output.velocity[i];
-        filter->nominal[i] = v[i];
-      }
+      predict(filter, state, period_s);
+      for (int i = 0; i < 3; ++i) filter->nominal[i] = v[i];
       filter->has_request = 1;
       __atomic_store_n(&filter->turn, ALULA_CRAZYFLIE_POSTED, __ATOMIC_RELEASE);
     }
@@ -231,7 +247,8 @@ void alula_crazyflie_step(alula_crazyflie_filter* filter, const alula_crazyflie_
 
 int alula_crazyflie_work(alula_crazyflie_filter* filter) {
   if (__atomic_load_n(&filter->turn, __ATOMIC_ACQUIRE) != ALULA_CRAZYFLIE_POSTED) return 0;
-  filter->answer = alula_polytope_cbf_filter(&filter->cbf, filter->at, filter->nominal, &filter->result);
+  filter->answer = alula_chord_filter(&filter->chord, filter->at, filter->moving, filter->nominal,
+                                      filter->from_the_ground, &filter->result);
   __atomic_store_n(&filter->turn, ALULA_CRAZYFLIE_DONE, __ATOMIC_RELEASE);
   return 1;
 }

@@ -1,19 +1,24 @@
-/* polytope-cbf between the set-points and the controller of a Crazyflie, without its firmware's headers.
+/* The chord of alula_chord.h between the set-points and the controller of a Crazyflie, without its firmware's
+ * headers.
  *
  * The stabilizer's loop, 1000 times a second, calls alula_crazyflie_step; another task of lower priority calls
  * alula_crazyflie_work. A tick of the filter may take longer than the loop's millisecond (docs/results/onboard.md),
  * and the loop that controls the attitude must not wait for it. In every period T of some steps the loop
  *
- *   1. takes the velocity that was computed during the last period, and flies it for T,
- *   2. posts a new nominal command w with the position at the end of this period, p + T u: the vehicle reaches it
- * with the current velocity u, and the velocity computed now begins to act there.
+ *   1. takes the velocity u that was computed during the last period, and flies it for T,
+ *   2. posts a new nominal command w with the state at the end of this period, of a vehicle that follows with the lag
+ * tau: with E = exp(-T / tau), p + T u + tau (1 - E) (v - u) and u + E (v - u). The velocity computed now begins to
+ * act there.
  *
- * So every velocity is flown for exactly the T, and from the position, that polytope-cbf checked; a nominal command
- * acts T to 2 T after it was read. The radius must cover the deviation from p + T u, because the vehicle does not
- * follow a velocity exactly, and the error of the estimator.
+ * So every velocity is flown for exactly the T, and from the state, for which it was checked; a nominal command acts
+ * T to 2 T after it was read. The radius must cover what a vehicle of this lag does not do: its velocity loop is of a
+ * higher order, and its estimator errs.
+ *
+ * A take-off begins when the motors start. It ends when the chord is first clear of all margins; until then the
+ * vehicle leaves a floor that it rests on upwards (`is_taking_off` of alula_chord.h).
  *
  * The loop always flies one of: the set-point itself if it has no thrust or the pilot switched the filter
- * off, a velocity of polytope-cbf, or zero velocity. If the work is not done in time, or the state or the nominal
+ * off, a velocity of the filter, or zero velocity. If the work is not done in time, or the state or the nominal
  * command cannot be used, it flies zero velocity.
  *
  *   set-point, axes x y z               becomes
@@ -22,12 +27,12 @@
  *   position                            the nominal command gain (p_set - p), at most v_max
  *   any other axis off (attitude)       zero velocity; with `attitude` set, itself, unguarded
  *
- * One frame, metres, seconds; freestanding C99. Tick: alula_polytope_cbf.h.
+ * One frame, metres, seconds; freestanding C99. Tick: alula_chord.h.
  */
 #ifndef ALULA_CRAZYFLIE_FILTER_H
 #define ALULA_CRAZYFLIE_FILTER_H
 
-#include "alula_polytope_cbf.h"
+#include "alula_chord.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -42,7 +47,7 @@ typedef enum { ALULA_AXIS_OFF = 0, ALULA_AXIS_POSITION = 1, ALULA_AXIS_VELOCITY 
 typedef struct {
   float radius_m;   /* of the vehicle, plus all errors of position */
   float beta;       /* [1/s] */
-  float kappa;      /* [1/m] */
+  float lag;        /* tau, with which velocities are followed [s] */
   float v_max;      /* [m/s] */
   float period_s;   /* T */
   float gain;       /* of positions [1/s] */
@@ -97,21 +102,23 @@ typedef enum { ALULA_CRAZYFLIE_FREE = 0, ALULA_CRAZYFLIE_POSTED, ALULA_CRAZYFLIE
 /* Initialised by alula_crazyflie_open; one per vehicle. The fields are private, except the counts. */
 typedef struct {
   alula_map map;
-  alula_polytope_cbf cbf; /* used by the working task only */
+  alula_chord chord; /* used by the working task only */
   alula_crazyflie_config config;
   int is_open;
   volatile uint32_t turn;
-  float at[3], nominal[3];      /* of the request */
-  alula_polytope_result result; /* of the answer */
+  float at[3], moving[3], nominal[3]; /* of the request */
+  int from_the_ground;                /* of the request */
+  alula_polytope_result result;       /* of the answer */
   alula_filter_status answer;
-  float period_s;  /* of the command being flown */
-  int has_request; /* the current period has a valid request */
+  int is_taking_off; /* until the chord is first clear */
+  float period_s;    /* of the command being flown */
+  int has_request;   /* the current period has a valid request */
   alula_crazyflie_output output;
   float seen[6]; /* the last state */
   int still;     /* number of steps without a change */
   float still_way;
   uint32_t late, corrections; /* counts, for logs */
-  float margin_m;             /* s - r of the last answer */
+  float margin_m;             /* least D_k - r of the last answer */
 } alula_crazyflie_filter;
 
 /* Opens a map and sets parameters; nonzero when it may fly. Reads every byte of the map once. */
