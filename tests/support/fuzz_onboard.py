@@ -1,7 +1,7 @@
 """libFuzzer on the onboard code: `python tests/support/fuzz_onboard.py --seconds 600`, shared by the targets.
 
 native/onboard/fuzz has the targets, with address and undefined-behaviour sanitizers: images of maps,
-tiles, and ticks of polytope-cbf, dr-acbf and the geofence. Seeds are maps of covers that are merged here
+tiles, and ticks of polytope-cbf, the chord filter, dr-acbf and the geofence. Seeds are maps of covers that are merged here
 and, with ALULA_DATA, of a real scene. Without a clang that has libFuzzer nothing is run, and that is
 said. What fails is kept in --keep.
 """
@@ -22,7 +22,7 @@ import numpy as np
 
 HERE = Path(__file__).resolve().parent
 SOURCES = HERE.parents[1] / "native/onboard/fuzz"
-TARGETS = ("map", "tiles", "polytope", "dr_acbf", "geofence", "links")
+TARGETS = ("map", "tiles", "polytope", "chord", "dr_acbf", "geofence", "links")
 EMPTY = "int LLVMFuzzerTestOneInput(const unsigned char *d, unsigned long n) { return !d && n; }"
 LONGEST = 16_000  # bytes of an input
 
@@ -90,7 +90,7 @@ def write_seeds(folder: Path) -> None:
     for target in TARGETS:
         (folder / target).mkdir(parents=True, exist_ok=True)
     for k, image in enumerate(images()):
-        for target in ("map", "polytope", "geofence"):
+        for target in ("map", "polytope", "chord", "geofence"):
             numbers = rng.integers(0, 256, 900, np.uint8)
             head = struct.pack("<BH", 0, len(image))
             (folder / target / f"seed-{k}").write_bytes(head + image + numbers.tobytes())

@@ -107,6 +107,7 @@ static inline int open_image(const uint8_t* image, uint32_t size, alula_map* map
   const alula_map_status status = alula_map_open(map, image, size);
   if (status == ALULA_MAP_READY) return 1;
   static alula_polytope_cbf cbf;
+  static alula_chord chord;
   const alula_polytope_cbf_config config = {0.1F, 2.0F, 100.0F, 0.01F, 1.0F, ALULA_SMOOTHING_SOUND, 0};
   const alula_fence fence = {.keep_out = map};
   const float x[3] = {0.0F, 0.0F, 0.0F};
@@ -114,6 +115,7 @@ static inline int open_image(const uint8_t* image, uint32_t size, alula_map* map
   CHECK(map->data == NULL && map->hull_count == 0U);
   CHECK(alula_map_evaluate(map, x, &value) == ALULA_MAP_BAD_POINTER);
   CHECK(alula_polytope_cbf_open(&cbf, map, 10.0F, &config) == ALULA_BAD_POINTER);
+  CHECK(alula_chord_open(&chord, map, 10.0F, &config, 0.3F) == ALULA_BAD_POINTER);
   CHECK(alula_fence_check(&fence) == ALULA_BAD_MAP);
   return 0;
 }

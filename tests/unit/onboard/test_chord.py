@@ -90,12 +90,10 @@ def clear_states(hulls, rng, count, extent, r, lag_s):
 @pytest.mark.parametrize("seed", range(4))
 def test_the_margin_is_that_of_linear_programs(seed):
     image = encode_map(blobs(seed, 1))
-    (hull,) = hulls = planes_of(image, 0.1)
+    (hull,) = planes_of(image, 0.1)
     made, rng = filter_on(image), np.random.default_rng(seed)
-    near = (
-        hull[1].min() * 0
-        + np.array([np.mean([h["lower"], h["upper"]], axis=0) for h in decode(image)])[0] * 0.1
-    )
+    (box,) = decode(image)
+    near = 0.1 * np.mean([box["lower"], box["upper"]], axis=0)
     told = 0
     for _ in range(200):
         p, v = near + rng.uniform(-1.6, 1.6, 3), rng.normal(size=3)
@@ -105,7 +103,6 @@ def test_the_margin_is_that_of_linear_programs(seed):
             assert least - SLACK_M <= margin <= least + 1e-6
             told += 1
     assert told > 10
-    assert len(hulls) == 1
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -177,9 +174,6 @@ def test_corners_are_met_by_at_most_two_centimetres(speed, late_s):
             v = v + 0.002 * a
             p = p + 0.002 * v
             path.append(p)
-        for _ in range(8500):
-            path.append(p)
-            break
         least = psi(hulls, np.array(path)).min()
         assert least >= 0.15 - 0.02
         assert least < 0.4
