@@ -16,7 +16,7 @@ from alula.stages.compression.onboard.cost import tick_instructions
 FLIGHTS, TICKS, EVERY, ANYWHERE = 10, 80, 10, 300
 RADIUS_M, BETA, LAG_S, DT_S, V_MAX = 0.15, 2.0, 0.35, 0.01, 1.0  # of the Crazyflie's app
 FloatArray = NDArray[np.float64]
-COUNTED = ("boxes", "hulls", "planes", "made", "rows")
+COUNTED = ("boxes", "hulls", "planes", "made", "rows", "soft")
 
 
 def recorded(image: bytes, half: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.int64], float]:
@@ -57,7 +57,7 @@ def recorded(image: bytes, half: FloatArray) -> tuple[FloatArray, FloatArray, ND
 def measure(
     firmware: Path, work: Path, image: bytes, half: FloatArray, tight: dict[str, FloatArray]
 ) -> dict[str, Any]:
-    """Replay ticks on both cores; figures by name. `tight` gets the model's instructions over the counted ones."""
+    """Figures of ticks replayed on both cores. `tight` gets the model's instructions over those counted."""
     states, want, status, extent = recorded(image, half)
     inputs = chord_inputs(states.astype(np.float32), [extent, RADIUS_M, BETA, LAG_S, DT_S, V_MAX])
     found: dict[str, Any] = {"host_target_mismatches": 0, "ticks": 0}

@@ -39,7 +39,9 @@ POLYTOPE_TICK = np.dtype(
         *((name, "<u4") for name in ("boxes", "hulls", "planes", "made", "exponentials")),
     ]
 )
-CHORD_TICK = np.dtype([*((name, POLYTOPE_TICK[name]) for name in POLYTOPE_TICK.names or ()), ("rows", "<u4")])
+CHORD_TICK = np.dtype(
+    [*((name, POLYTOPE_TICK[name]) for name in POLYTOPE_TICK.names or ()), ("rows", "<u4"), ("soft", "<u4")]
+)
 DR_ACBF_TICK = np.dtype(
     [
         ("status", "<u4"),

@@ -56,8 +56,8 @@ def command(artifact: Path | None, config: ExportConfig, key_path: Path | None, 
     map, and the instructions and time of a tick of the filter (of the Crazyflie's app with its defaults, else
     of polytope-cbf with 0.1 m radius and 1 m/s): the maximum over positions all over the map, its fraction of
     the period of each control rate, and a bound for any position (every hull counts). A map that does not fit
-    ends with exit code 5 and the number of bytes that would fit. A map whose tick takes longer than the period
-    of the control rate (--rate) ends with exit code 4. Neither writes a file.
+    ends with exit code 5 and the number of bytes that would fit. A map whose tick takes longer than the
+    period of the control rate (--rate) ends with exit code 4. Neither writes a file.
 
     With --tiles the map becomes a folder of tiles, each a whole onboard map in which all that is not within
     --reach is an obstacle. docs/guide/tiles.md has the guarantee, and the reach that a speed needs.

@@ -1,9 +1,9 @@
 """libFuzzer on the onboard code: `python tests/support/fuzz_onboard.py --seconds 600`, shared by the targets.
 
 native/onboard/fuzz has the targets, with address and undefined-behaviour sanitizers: images of maps,
-tiles, and ticks of polytope-cbf, the chord filter, dr-acbf and the geofence. Seeds are maps of covers that are merged here
-and, with ALULA_DATA, of a real scene. Without a clang that has libFuzzer nothing is run, and that is
-said. What fails is kept in --keep.
+tiles, and ticks of polytope-cbf, the chord filter, dr-acbf and the geofence. Seeds are maps of covers that
+are merged here and, with ALULA_DATA, of a real scene. Without a clang that has libFuzzer nothing is run, and
+that is said. What fails is kept in --keep.
 """
 
 from __future__ import annotations

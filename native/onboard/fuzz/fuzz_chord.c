@@ -40,7 +40,7 @@ static void tick(const alula_map* map, const alula_polytope_cbf_config* config, 
   CHECK(!isnan(result.margin_m) && !isnan(result.hard_margin_m) && chord.count <= ALULA_CHORD_ROWS);
   if (status == ALULA_FILTER_RECOVERING || !(result.margin_m >= 0.0F)) return;
   const float rounding = 1.0e-5F * (1.0F + map->extent_m); /* of the state that follows, not of the filter */
-  CHECK(margin_after(config, lag, x, v, result.u) >= -rounding - 4.0F * map->slack_m);
+  CHECK(margin_after(config, lag, x, v, result.u) >= -rounding - 4.0F * chord.hulls.map.slack_m);
 }
 
 int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {

@@ -62,6 +62,7 @@ typedef struct {
   alula_polytope_cbf hulls; /* the map, its cache of planes, and radius, beta, dt and v_max; kappa is not used */
   float lag_s;
   uint32_t count;                         /* of rows in this tick, most urgent first */
+  uint32_t soft;                          /* of them, those of hulls whose margin the chord has entered */
   alula_half_space row[ALULA_CHORD_ROWS]; /* normal . u <= bound */
   float spare[ALULA_CHORD_ROWS];          /* D_k - r */
 } alula_chord;

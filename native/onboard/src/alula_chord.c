@@ -186,7 +186,7 @@ static int find_rows(alula_chord* chord, const float p[3], const float q[3], int
   alula_walk walk;
   float hard;
   int has_directions = 1;
-  chord->count = 0U;
+  chord->count = chord->soft = 0U;
   hulls->work = NONE;
   hulls->used_before = hulls->used;
   hulls->used = 0U;
@@ -219,12 +219,11 @@ static alula_filter_status filter(alula_chord* chord, const float p[3], const fl
     if (!(left > 0.0F)) return ALULA_FILTER_REFUSED; /* more hulls in the margin than rows */
     if (c->beta * left < speed) speed = c->beta * left;
   }
-  uint32_t soft = 0U;
-  while (soft < chord->count && chord->spare[soft] < 0.0F) ++soft;
+  while (chord->soft < chord->count && chord->spare[chord->soft] < 0.0F) ++chord->soft;
   float wanted[3] = {u_nom[0], u_nom[1], u_nom[2]};
   limit_speed(wanted, speed);
   alula_projection found;
-  alula_project_least_violation(chord->row, chord->count, soft, speed, wanted, &found);
+  alula_project_least_violation(chord->row, chord->count, chord->soft, speed, wanted, &found);
   result->fraction = 1.0F;
   for (int i = 0; i < 3; ++i) result->u[i] = found.a[i];
   const float length = norm(result->u);
@@ -232,12 +231,12 @@ static alula_filter_status filter(alula_chord* chord, const float p[3], const fl
     result->fraction = speed / length;
     for (int i = 0; i < 3; ++i) result->u[i] *= result->fraction;
   }
-  for (uint32_t i = soft; i < chord->count; ++i) { /* zero satisfies these rows */
+  for (uint32_t i = chord->soft; i < chord->count; ++i) { /* zero satisfies these rows */
     if (dot(chord->row[i].normal, result->u) <= chord->row[i].bound) continue;
     stop(result);
     break;
   }
-  if (soft > 0U) return ALULA_FILTER_RECOVERING;
+  if (chord->soft > 0U) return ALULA_FILTER_RECOVERING;
   int is_same = 1;
   for (int i = 0; i < 3; ++i)
     if (result->u[i] != u_nom[i]) is_same = 0;
@@ -253,7 +252,7 @@ alula_status alula_chord_open(alula_chord* chord, const alula_map* image, float 
   if (status != ALULA_READY) return status;
   alula_walk_forget(&chord->hulls);
   chord->lag_s = lag_s;
-  chord->count = 0U;
+  chord->count = chord->soft = 0U;
   return ALULA_READY;
 }
 

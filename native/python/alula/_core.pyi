@@ -311,9 +311,9 @@ class OnboardChord:
     def filter(self, x: Sequence[float], v: Sequence[float], u_nom: Sequence[float], is_taking_off: bool = False) -> tuple[list[float], int, float, float]:
         """(u, status, least D_k - r, psi - r at x); margins in metres."""
 
-    def work(self) -> tuple[int, int, int, int, int]:
+    def work(self) -> list[int]:
         """
-        Of the last call: boxes, hulls, values of planes, decoded planes, rows.
+        Of the last call: boxes, hulls, values of planes, decoded planes, rows, those inside margins.
         """
 
 def onboard_exp_log(x: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> tuple[NDArray[numpy.float32], NDArray[numpy.float32]]:

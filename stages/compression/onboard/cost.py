@@ -20,7 +20,9 @@ from alula.stages.compression.onboard.layout import LEAF_HULLS, index_bytes
 BASE_INSTRUCTIONS = 2400
 INSTRUCTIONS = np.array([136, 155, 30, 43, 135])
 # The same of the chord filter: box, hull, value of a plane, decoded plane, row.
-CHORD_INSTRUCTIONS = np.array([136, 400, 30, 60, 14_000])
+CHORD_INSTRUCTIONS = np.array([136, 100, 26, 45, 1300])
+# Of the search for the least violation, where the chord has entered margins; more of them cost no more.
+ENTERED_INSTRUCTIONS = 320_000
 SAMPLES, REFINED = 3000, 300
 ASSUMED: dict[str, Any] = {"radius_m": 0.1, "beta": 2.0, "kappa": 100.0, "v_max": 1.0, "dt_s": 0.002}
 ASSUMED_OF_CHORD: dict[str, Any] = {"radius_m": 0.15, "beta": 2.0, "v_max": 1.0, "dt_s": 0.01}
@@ -36,13 +38,17 @@ def tick_instructions(work: NDArray[np.int64], *, of_chord: bool = False) -> NDA
     """Upper bound of the instructions of ticks, from their counts of work.
 
     Args:
-        work: what `PolytopeCbf.work` counts, or `OnboardChord.work`, shape (..., 5).
+        work: what `PolytopeCbf.work` counts, shape (..., 5), or `OnboardChord.work`, shape (..., 6).
         of_chord: the latter.
 
     Returns:
         Instructions, shape (...).
     """
-    total: NDArray[np.int64] = np.asarray(work, np.int64) @ (CHORD_INSTRUCTIONS if of_chord else INSTRUCTIONS)
+    if of_chord:
+        searched = ENTERED_INSTRUCTIONS * (work[..., 5] > 0)
+        chord: NDArray[np.int64] = work[..., :5] @ CHORD_INSTRUCTIONS + searched
+        return chord + BASE_INSTRUCTIONS
+    total: NDArray[np.int64] = np.asarray(work, np.int64) @ INSTRUCTIONS
     return total + BASE_INSTRUCTIONS
 
 
@@ -101,7 +107,7 @@ def worst_tick(raw: bytes, image: MapImage, *, of_chord: bool = False) -> dict[s
     planes = image.half_planes
     if of_chord:
         every = np.array(
-            [hulls + nodes, hulls, _CHORD_VALUES * (planes + 6 * hulls), planes + 6 * hulls, _CHORD_ROWS]
+            [hulls + nodes, hulls, _CHORD_VALUES * (planes + 6 * hulls), planes + 6 * hulls, _CHORD_ROWS, 1]
         )
         return {"measured": measured, "bound": int(tick_instructions(every, of_chord=True))}
     every = np.array([hulls + nodes, hulls, planes, planes, planes])

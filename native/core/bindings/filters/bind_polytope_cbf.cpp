@@ -149,9 +149,9 @@ class OnboardChord {
     return {{result.u[0], result.u[1], result.u[2]}, static_cast<int>(status), result.margin_m, result.hard_margin_m};
   }
 
-  std::tuple<std::uint32_t, std::uint32_t, std::uint32_t, std::uint32_t, std::uint32_t> work() const {
+  std::array<std::uint32_t, 6> work() const {
     const alula_polytope_work& w = chord_.hulls.work;
-    return {w.boxes, w.hulls, w.planes, w.made, chord_.count};
+    return {w.boxes, w.hulls, w.planes, w.made, chord_.count, chord_.soft};
   }
 
  private:
@@ -213,7 +213,8 @@ void bind_polytope_cbf(nb::module_& m) {
            "extent_m"_a = 0.0)
       .def("filter", &OnboardChord::filter, "x"_a, "v"_a, "u_nom"_a, "is_taking_off"_a = false,
            "(u, status, least D_k - r, psi - r at x); margins in metres.")
-      .def("work", &OnboardChord::work, "Of the last call: boxes, hulls, values of planes, decoded planes, rows.");
+      .def("work", &OnboardChord::work,
+           "Of the last call: boxes, hulls, values of planes, decoded planes, rows, those inside margins.");
 
   m.def(
       "onboard_exp_log",

@@ -12,7 +12,7 @@ typedef struct {
   alula_polytope_result result;
   uint32_t counted;
   alula_polytope_work work;
-  uint32_t rows;
+  uint32_t rows, soft;
 } tick;
 
 alula_map replayed_map;
@@ -42,6 +42,7 @@ int main(void) {
     out.counted = port_stop();
     out.work = replayed_chord.hulls.work;
     out.rows = replayed_chord.count;
+    out.soft = replayed_chord.soft;
     if (!port_write(&out, sizeof out)) return 5;
   }
   const uint32_t stack = port_stack();
