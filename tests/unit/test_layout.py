@@ -23,23 +23,26 @@ HEAVY = ("numpy", "scipy", "open3d", "pycolmap", "cvxpy", "trimesh", "matplotlib
 
 
 @cache
-def parsed(path: Path) -> ast.Module:
-    return ast.parse(path.read_text())
+def imports(path: Path) -> list[ast.Import | ast.ImportFrom]:
+    """All of a file. Trees are not kept: every flight of a test collects garbage among them."""
+    tree = ast.parse(path.read_text())
+    return [node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
+
+
+def named(node: ast.Import | ast.ImportFrom) -> list[str]:
+    return [alias.name for alias in node.names] if isinstance(node, ast.Import) else [f"{node.module}"]
 
 
 def imported_parts(path: Path) -> set[str]:
     found = set()
-    for node in ast.walk(parsed(path)):
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
+    for node in imports(path):
+        names = named(node)
+        if isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
             module = node.module or ""
             names = [
                 f"{module}.{a.name}" if module in ("alula", "alula._core") else module for a in node.names
             ]
-        else:
-            continue
         for name in names:
             assert name.split(".")[0] not in ("cli", "stages", "schemas"), f"{path}: imports {name}"
             if name.startswith("alula."):
@@ -59,7 +62,7 @@ def test_all_that_benchmarks_examples_and_tests_import_of_alula_is_there():
     """Also what is imported inside functions; for `alula` itself mypy checks it."""
     files = [path for part in ("benchmarks", "examples", "tests") for path in (ROOT / part).rglob("*.py")]
     for path in files:
-        for node in ast.walk(parsed(path)):
+        for node in imports(path):
             if not isinstance(node, ast.ImportFrom) or not (node.module or "").startswith("alula."):
                 continue
             module = importlib.import_module(node.module)
@@ -75,19 +78,16 @@ def test_the_rooms_of_the_command_line_import_one_way():
         rooms = {other.split(".")[2] for other in others if other.startswith("alula.cli.")}
         assert not rooms & above.get(room, set()), module
     for path in (ROOT / "cli/verbs").rglob("*.py"):
-        for node in ast.walk(parsed(path)):
-            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            names += [f"{node.module}"] if isinstance(node, ast.ImportFrom) else []
-            assert "click" not in {name.partition(".")[0] for name in names}, path
+        for node in imports(path):
+            assert "click" not in {name.partition(".")[0] for name in named(node)}, path
 
 
 def test_packages_that_import_slowly_are_imported_where_they_are_used():
     """At the top of a module `scipy.optimize` doubled the start of `alula simulate`."""
     for path in SOURCES:
-        for node in parsed(path).body:
-            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            names += [f"{node.module}"] if isinstance(node, ast.ImportFrom) else []
-            assert not {"scipy", "matplotlib"} & {name.partition(".")[0] for name in names}, path
+        for node in imports(path):
+            roots = {name.partition(".")[0] for name in named(node)}
+            assert node.col_offset > 0 or not {"scipy", "matplotlib"} & roots, path
 
 
 @cache
@@ -100,11 +100,10 @@ def imported_files() -> dict[str, set[str]]:
     found = {}
     for module, path in modules.items():
         names: set[str] = set()
-        for node in ast.walk(parsed(path)):
-            if isinstance(node, ast.Import):
-                names |= {alias.name for alias in node.names}
-            elif isinstance(node, ast.ImportFrom):
-                names |= {f"{node.module}", *(f"{node.module}.{alias.name}" for alias in node.names)}
+        for node in imports(path):
+            names |= set(named(node))
+            if isinstance(node, ast.ImportFrom):
+                names |= {f"{node.module}.{alias.name}" for alias in node.names}
         found[module] = names & modules.keys() - {module}
     return found
 
