@@ -78,6 +78,7 @@ class VehicleStatus:
         is_estimator_ready: whether its own estimate of position and attitude is good enough to fly.
         estimator: why `is_estimator_ready` is False, in words; may be empty.
         without_position: what its position needs and lacks, in words; empty if it reports one, or not known.
+        clock: why the age of its states is not known, in words; may be empty.
         is_failsafe: whether one of its own failsafes has triggered, whether it acts or not.
         failsafe: cause of its newest failsafe in its own words; empty if it reported none.
         can_arm: whether its own checks before arming hold; None if it does not report or make them.
@@ -101,6 +102,7 @@ class VehicleStatus:
     is_estimator_ready: bool | None = None
     estimator: str = ""
     without_position: str = ""
+    clock: str = ""
     is_failsafe: bool = False
     failsafe: str = ""
     can_arm: bool | None = None

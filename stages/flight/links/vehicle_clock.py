@@ -4,7 +4,7 @@ Let theta be the local time minus the vehicle's time. Packets bound it from abov
 its time stamp: theta <= arrival - stamp. Answers to time requests bound it from below, because each is
 stamped after the request was sent: theta >= requested - stamp. The difference of the two bounds is the
 latency: on top of its measured delay no packet took longer. Packets alone cannot show a delay that all of
-them share.
+them share. An upper bound that falls below a lower one of the last seconds: the vehicle's clock runs fast.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from collections import deque
 _DRIFT = 2e-4  # maximum relative drift of the two clocks
 _EARLY_S = 0.05  # a packet that much faster than the fastest before means that a clock was set
 _BACK_S = 0.5  # packets overtake each other by less
+_FAST_S = 0.3  # a vehicle that gains more in the last 5 s runs fast; one that stalled catches up less
 _AHEAD_S = 5.0  # a queue that empties looks like a clock set ahead, but by less
 _WITNESSES = 3  # consecutive packets that must agree that a clock was set
 _EVIDENCE_S = 5.0  # answers to time requests count for this long: the way to the vehicle may become slower
@@ -89,15 +90,26 @@ class VehicleClock:
 
         It is the sum of the minimum delays of both directions, with the answers to the requests of the last
         5 s. A set-point that is computed from the packet takes effect that long after `arrival`, if it is as
-        fast as the fastest of these requests. NaN without a packet, or without such an answer.
+        fast as the fastest of these requests. NaN without a packet, without such an answer, and while the
+        clock runs fast.
         """
+        room_s = self._room_s()
+        return max(room_s, 0.0) if room_s >= -_FAST_S else math.nan
+
+    @property
+    def runs_fast(self) -> bool:
+        """Whether the vehicle's clock gained 0.3 s in the last 5 s: a simulation that is not in real time."""
+        return self._room_s() < -_FAST_S
+
+    def _room_s(self) -> float:
+        """Upper less lower bound of the offset; NaN if one of them is not known."""
         now_s = self._last_now
         while self._answers and now_s - self._answers[0][0] > _EVIDENCE_S:
             self._answers.popleft()
         if self._offset is None or not self._answers:
             return math.nan
         minimum = max(bound - _DRIFT * (now_s - requested_s) for requested_s, bound in self._answers)
-        return max(0.0, self._offset - minimum)
+        return self._offset - minimum
 
     def _patient(self, before: float, offset: float, now_s: float) -> float:
         if offset <= before + _EARLY_S:

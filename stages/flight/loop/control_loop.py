@@ -425,6 +425,8 @@ class ControlLoop:
             return f"by {self._off_climb_m + room_m:.2f} m, of which {room_m:.2f} m are proven clear"
         if taken.event is Event.PARAMETER_CHANGED:
             return self.link.status.changed
+        if taken.event is Event.STATE_STALE:
+            return self.link.status.clock
         if taken.event is Event.ESTIMATOR_BAD:
             return self.link.status.estimator
         if taken.event is Event.LANDED_AWAY:

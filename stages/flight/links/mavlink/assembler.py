@@ -63,6 +63,11 @@ class StateAssembler:
         return sum(clock.jumps for clock in self._clocks.values())
 
     @property
+    def runs_fast(self) -> bool:
+        """Whether the vehicle's clock runs faster than the local one."""
+        return any(clock.runs_fast for clock in self._clocks.values())
+
+    @property
     def state(self) -> VehicleState | None:
         """The newest state; None before the first."""
         if self._is_new:

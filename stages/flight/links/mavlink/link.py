@@ -199,6 +199,7 @@ class MavlinkLink:
         if status.clock_jumps != self._estimate.jumps:
             status.clock_jumps = self._estimate.jumps
             telemetry.say("the vehicle's clock jumped: it may have restarted")
+        status.clock = "its clock runs faster than that of this computer" if self._estimate.runs_fast else ""
         if self._orders is None:
             return
         self._orders.poll(now_s)

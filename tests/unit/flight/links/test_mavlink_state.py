@@ -188,6 +188,28 @@ def test_a_line_to_the_vehicle_that_becomes_slow_shows_within_seconds():
         assert link.state.latency_s == pytest.approx(0.41, abs=0.02)
 
 
+@pytest.mark.parametrize(("gain", "is_fast"), [(0.0, False), (0.03, False), (0.2, True), (1.0, True)])
+def test_a_vehicle_that_is_not_in_real_time_has_no_age(gain, is_fast):
+    with vehicle() as (peer, time, link):
+
+        def state():
+            peer.boot_s += gain * (time() - was[0])
+            was[0] = time()
+            peer.send_state((1, 2, 3))
+
+        was = [time()]
+        time.run(link, 2.0, each=lambda: peer.send_state((1, 2, 3)))
+        assert link.state.latency_s < 0.03
+        was = [time()]
+        time.run(link, 5.0, each=state)
+        assert math.isnan(link.state.age_s(time())) == is_fast
+        assert ("clock runs faster" in link.status.clock) == is_fast
+        assert link.status.clock_jumps == 0
+        time.run(link, 6.0, each=lambda: peer.send_state((1, 2, 3)))
+        assert link.state.latency_s < 0.03
+        assert not link.status.clock
+
+
 @given(
     up_s=st.floats(0, 1.5),
     down_s=st.floats(0, 1.5),
