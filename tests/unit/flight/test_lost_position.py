@@ -1,5 +1,6 @@
 """Loss of the position in flight: noticed at once, and never the end of a flight that went well."""
 
+import math
 from types import SimpleNamespace
 
 import pytest
@@ -147,7 +148,7 @@ def test_an_estimate_that_contradicts_the_velocity_of_satellites_is_noticed(
 ):
     satellites = Satellites()
     satellites.is_watched = True
-    satellites.estimated(0.0, 1.0)
+    satellites.estimated((0.0, 1.0))
     for i in range(5):
         satellites.take(velocity_report(i, speed, course, accuracy_m_s=accuracy), 0.2 * i)
         assert satellites.trouble(0.2 * i) == "" or i >= 3
@@ -159,7 +160,7 @@ def test_an_estimate_that_contradicts_the_velocity_of_satellites_is_noticed(
 def test_one_of_two_receivers_alone_does_not_contradict():
     satellites = Satellites()
     satellites.is_watched = True
-    satellites.estimated(0.0, 1.0)
+    satellites.estimated((0.0, 1.0))
     for i in range(10):
         satellites.take(velocity_report(i, 5.0, 90.0), 0.2 * i)
         satellites.take(velocity_report(i, 1.0, 90.0, "gps2_raw"), 0.2 * i)
@@ -190,6 +191,77 @@ def test_an_estimate_that_drifts_away_in_flight_lands_it():
     assert flight.cause is Event.ESTIMATOR_BAD
     assert flight.entered[State.LAND] - flight.entered[State.FLY] < 0.5 + 1.2
     assert "differs from that of the satellites" in str(said_of(flight.loop))
+
+
+def position_report(stamp, north_m, east_m, kind="gps_raw_int", accuracy_m=0.3):
+    made = report(stamp, 3, kind)
+    made.lat = round(1e7 * (math.degrees(north_m / 6378100.0) + 47.0))
+    made.lon = round(1e7 * (math.degrees(east_m / (6378100.0 * math.cos(math.radians(47.0)))) + 8.0))
+    made.h_acc, made.vel = round(1e3 * accuracy_m), 0xFFFF
+    return made
+
+
+@pytest.mark.parametrize(
+    ("jump_m", "accuracy_m", "is_jump"),
+    [(1.5, 0.3, False), (-1.7, 0.3, True), (3.3, 0.3, True), (3.3, 1.2, False)],
+)
+@pytest.mark.parametrize("speed_m_s", [0.0, 5.0])
+def test_fixes_that_jump_are_noticed(jump_m, accuracy_m, is_jump, speed_m_s):
+    """Their delay is no jump where the vehicle speeds up."""
+    satellites = Satellites()
+    satellites.is_watched = True
+    for i in range(30):
+        at, begun = 0.2 * i, max(0.0, 0.2 * i - 1.0)
+        place = lambda t: speed_m_s * max(0.0, t - 1.0)  # noqa: E731
+        satellites.estimated((0.0, speed_m_s if begun else 0.0), (0.0, place(at)))
+        moved = jump_m if i >= 20 else 0.0
+        satellites.take(position_report(i, moved, place(at - 0.2), accuracy_m=accuracy_m), at)
+        said = satellites.trouble(at)
+        assert bool(said) == (is_jump and 21 <= i < 29), (i, said)
+
+
+def test_a_jump_of_one_of_two_receivers_is_no_jump():
+    satellites = Satellites()
+    satellites.is_watched = True
+    for i in range(20):
+        satellites.estimated((0.0, 0.0), (0.0, 0.0))
+        satellites.take(position_report(i, 9.0 if i > 9 else 0.0, 0.0), 0.2 * i)
+        satellites.take(position_report(i, 0.0, 0.0, "gps2_raw"), 0.2 * i)
+        assert satellites.trouble(0.2 * i) == ""
+
+
+def test_fixes_that_jump_land_it_before_the_estimate_has_followed():
+    def mislead(flight):
+        flight.changes["GPS_RAW_INT"] = lambda message: setattr(message, "lat", message.lat + 296)
+
+    flight = flown(State.FLY, 0.5, mislead)
+    assert flight.cause is Event.ESTIMATOR_BAD
+    assert flight.entered[State.LAND] - flight.entered[State.FLY] < 0.5 + 0.6
+    assert "the position of the satellites jumped by 3.3 m" in str(said_of(flight.loop))
+
+
+def test_a_compass_that_the_estimate_refuses_lands_it_before_the_heading_is_lost():
+    def mislead(flight):
+        flight.changes["EKF_STATUS_REPORT"] = lambda message: setattr(message, "compass_variance", 1.4)
+
+    flight = flown(State.FLY, 0.5, mislead)
+    assert flight.cause is Event.ESTIMATOR_BAD
+    assert flight.entered[State.LAND] - flight.entered[State.FLY] < 0.5 + 1.6
+    assert "it refuses what it measures: compass" in str(said_of(flight.loop))
+
+
+def test_a_vehicle_that_runs_twice_as_fast_is_held_and_landed():
+    """SIM_SPEEDUP 2 in flight."""
+
+    def hurry(flight):
+        advance, from_s = flight.vehicle.advance, flight.time() - flight.begin
+        flight.vehicle.advance = lambda t: advance(from_s + 2 * (t - from_s))
+
+    flight = flown(State.FLY, 0.5, hurry)
+    assert (State.FLY, Event.STATE_STALE) in flight.rows
+    assert flight.entered[State.HOLD] - flight.entered[State.FLY] < 0.5 + 1.1
+    assert State.LAND in flight.entered
+    assert any("its clock runs faster" in each[-1] for each in flight.recorder.lines)
 
 
 def test_a_second_receiver_is_enough():

@@ -1,8 +1,9 @@
-"""Watch over satellite receivers while the position depends on them: new fixes, and their velocity."""
+"""Watch over satellite receivers while the position depends on them: new fixes, positions and velocities."""
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import Any
 
 _FIX_3D = 3
@@ -13,6 +14,11 @@ _UNKNOWN = 0xFFFF  # a speed or a course that is not reported
 _DISAGREES_M_S = 1.0  # between the velocity of a receiver and the estimated one
 _ERRORS = 2.0  # of the receiver's own accuracy, on top
 _DISAGREES_S = 0.6  # longer than the delay of a receiver lets them differ
+_JUMPS_M = 1.0  # in 2 s, between the position of a receiver and the estimated one
+_JUMP_S = 2.0
+_JUMP_FIXES = 2  # in a row that must agree
+_DELAY_S = 0.4  # a fix is older than the estimate by at most that
+_EARTH_M = 6378100.0
 KINDS = ("GPS_RAW_INT", "GPS2_RAW")
 
 
@@ -27,6 +33,10 @@ class Satellites:
     estimate that differs from it by more than 1 m/s and twice the receiver's own accuracy for 0.6 s is wrong:
     after the fault of an accelerometer an autopilot's own checks may pass for many seconds.
 
+    A receiver whose fixes jump pulls the estimate after it, and the vehicle the other way. In 2 s the
+    distance between a fix and the estimated position may change by 1 m and twice the receiver's own accuracy,
+    besides what the delay of a fix makes of a change of the velocity. Two fixes in a row must agree.
+
     Attributes:
         is_watched: the vehicle's position depends on satellites.
     """
@@ -39,10 +49,14 @@ class Satellites:
         self._fixes: dict[str, int] = {}  # type of the newest fix of each
         self._estimated: tuple[float, float] | None = None  # velocity, north and east [m/s]
         self._differs: dict[str, tuple[float, float]] = {}  # since when [s], and by how much now [m/s]
+        self._position: tuple[float, float] | None = None  # estimated, north and east [m]
+        self._zero: tuple[float, float] | None = None  # latitude and longitude that positions are from [rad]
+        self._apart: dict[str, deque[tuple[float, ...]]] = {}  # [s], fix less estimate [m], velocity [m/s]
+        self._jumped: dict[str, tuple[int, float]] = {}  # number of fixes in a row, and by how much [m]
 
-    def estimated(self, north: float, east: float) -> None:
-        """Store the vehicle's own newest estimate of its velocity [m/s]."""
-        self._estimated = north, east
+    def estimated(self, velocity: tuple[float, float], position: tuple[float, float] | None = None) -> None:
+        """Store the vehicle's own newest estimates: north and east, [m/s] and [m]."""
+        self._estimated, self._position = velocity, position
 
     def take(self, message: Any, now_s: float) -> None:
         """Process a message of `KINDS` that arrived at `now_s` [s]."""
@@ -52,6 +66,25 @@ class Satellites:
         if is_new and message.fix_type >= _FIX_3D:
             self._fixed_s[kind] = now_s
             self._compare(kind, message, now_s)
+            self._measure(kind, message, now_s)
+
+    def _measure(self, kind: str, message: Any, now_s: float) -> None:
+        if self._estimated is None or self._position is None:
+            return
+        latitude, longitude = math.radians(1e-7 * message.lat), math.radians(1e-7 * message.lon)
+        self._zero = self._zero or (latitude, longitude)
+        north = _EARTH_M * (latitude - self._zero[0]) - self._position[0]
+        turn = math.remainder(longitude - self._zero[1], 2 * math.pi)
+        east = _EARTH_M * math.cos(self._zero[0]) * turn - self._position[1]
+        past = self._apart.setdefault(kind, deque())
+        while past and past[0][0] < now_s - _JUMP_S:
+            past.popleft()
+        past.append((now_s, north, east, *self._estimated))
+        _, *before = past[0]
+        jump = math.dist((north, east), before[:2]) - _DELAY_S * math.dist(self._estimated, before[2:])
+        fixes, _ = self._jumped.get(kind, (0, 0.0))
+        is_jump = jump > _JUMPS_M + _ERRORS * 1e-3 * message.h_acc
+        self._jumped[kind] = (fixes + 1 if is_jump else 0), jump
 
     def _compare(self, kind: str, message: Any, now_s: float) -> None:
         if self._estimated is None or _UNKNOWN in (message.vel, message.cog):
@@ -82,5 +115,8 @@ class Satellites:
             since_s, away = max(self._differs.values())
             if self._heard_s - since_s >= _DISAGREES_S:
                 return f"its velocity differs from that of the satellites by {away:.1f} m/s"
+        jumps = [self._jumped.get(kind, (0, 0.0)) for kind in self._fixed_s]
+        if all(fixes >= _JUMP_FIXES for fixes, _ in jumps):
+            return f"the position of the satellites jumped by {max(jump for _, jump in jumps):.1f} m"
         silent_s = now_s - self._heard_s
         return f"no report of satellites for {silent_s:.1f} s" if silent_s > _SILENT_S else ""

@@ -27,6 +27,13 @@ _FLAGS_BAD = {  # each bit makes an estimate useless unless one of the bits besi
     # PX4 sets 128 whenever it rests on the ground; 256 says that it measures its horizontal motion
     "ESTIMATOR_STATUS": {128: (_CONSTANT, 256), 1024: ("a jump of satellites", 0)},
 }
+# Innovations of EKF_STATUS_REPORT, divided by their gates: above 1 the estimate refuses what is measured.
+_RATIOS = {
+    "compass_variance": "compass",
+    "pos_horiz_variance": "horizontal positions",
+    "velocity_variance": "velocities",
+}
+_REFUSED_S = 1.0  # a gust or a turn may make it refuse some for a moment
 _NO_VOLTAGE = 0xFFFF
 _LANDED = {
     dialect.MAV_LANDED_STATE_ON_GROUND: True,
@@ -64,6 +71,8 @@ class Telemetry:
         self.autopilot: Autopilot | None = None
         self.satellites = Satellites()
         self._flags: tuple[str, int] | None = None  # newest kind of message with its flags
+        self._refused_s: dict[str, float] = {}  # since when the estimate refuses what it measures, by name
+        self._judged_s = -math.inf  # newest message with flags
         self._texts = Texts()
         self._reason = (-math.inf, "")
         self._refusals: dict[str, float] = {}  # reasons not to arm, and when they were given last
@@ -99,13 +108,14 @@ class Telemetry:
         elif kind == "EXTENDED_SYS_STATE":
             status.landed = _LANDED.get(message.landed_state)
         elif kind in _FLAGS_BAD:
+            self._read_ratios(message, now_s)
             self._flags, kind = (kind, message.flags), "ESTIMATOR"
             self._judge_estimator(now_s)
         elif kind in KINDS:
             self.satellites.take(message, now_s)
             return []
         elif kind == "LOCAL_POSITION_NED":
-            self.satellites.estimated(message.vx, message.vy)
+            self.satellites.estimated((message.vx, message.vy), (message.x, message.y))
             return []
         else:
             return []
@@ -133,8 +143,19 @@ class Telemetry:
         if self._flags is None:
             status.is_estimator_ready, status.estimator = None, ""
             return
+        refused = [name for name, since in self._refused_s.items() if self._judged_s - since >= _REFUSED_S]
         status.estimator = _trouble_of(*self._flags) or self.satellites.trouble(now_s)
+        if refused and not status.estimator:
+            status.estimator = f"it refuses what it measures: {', '.join(refused)}"
         status.is_estimator_ready = not status.estimator
+
+    def _read_ratios(self, message: Any, now_s: float) -> None:
+        self._judged_s = now_s
+        for field, name in _RATIOS.items():
+            if getattr(message, field, 0.0) > 1.0:
+                self._refused_s.setdefault(name, now_s)
+            else:
+                self._refused_s.pop(name, None)
 
     def _judge_arming(self, now_s: float) -> None:
         recent = [reason for reason, at_s in self._refusals.items() if now_s - at_s <= _REFUSAL_S]
