@@ -240,14 +240,14 @@ def test_fixes_that_jump_land_it_before_the_estimate_has_followed():
     assert "the position of the satellites jumped by 3.3 m" in str(said_of(flight.loop))
 
 
-def test_a_compass_that_the_estimate_refuses_lands_it_before_the_heading_is_lost():
+def test_a_compass_that_contradicts_the_estimate_lands_it_before_the_heading_is_lost():
     def mislead(flight):
-        flight.changes["EKF_STATUS_REPORT"] = lambda message: setattr(message, "compass_variance", 1.4)
+        flight.changes["EKF_STATUS_REPORT"] = lambda message: setattr(message, "compass_variance", 0.75)
 
     flight = flown(State.FLY, 0.5, mislead)
     assert flight.cause is Event.ESTIMATOR_BAD
     assert flight.entered[State.LAND] - flight.entered[State.FLY] < 0.5 + 1.6
-    assert "it refuses what it measures: compass" in str(said_of(flight.loop))
+    assert "it contradicts what it measures: compass" in str(said_of(flight.loop))
 
 
 def test_a_vehicle_that_runs_twice_as_fast_is_held_and_landed():

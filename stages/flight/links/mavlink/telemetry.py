@@ -28,10 +28,11 @@ _FLAGS_BAD = {  # each bit makes an estimate useless unless one of the bits besi
     "ESTIMATOR_STATUS": {128: (_CONSTANT, 256), 1024: ("a jump of satellites", 0)},
 }
 # Innovations of EKF_STATUS_REPORT, divided by their gates: above 1 the estimate refuses what is measured.
+# In ArduPilot's simulation a sound compass gives 0.02, and one that is 400 mG off 0.75.
 _RATIOS = {
-    "compass_variance": "compass",
-    "pos_horiz_variance": "horizontal positions",
-    "velocity_variance": "velocities",
+    "compass_variance": ("compass", 0.5),
+    "pos_horiz_variance": ("horizontal positions", 1.0),
+    "velocity_variance": ("velocities", 1.0),
 }
 _REFUSED_S = 1.0  # a gust or a turn may make it refuse some for a moment
 _NO_VOLTAGE = 0xFFFF
@@ -71,7 +72,7 @@ class Telemetry:
         self.autopilot: Autopilot | None = None
         self.satellites = Satellites()
         self._flags: tuple[str, int] | None = None  # newest kind of message with its flags
-        self._refused_s: dict[str, float] = {}  # since when the estimate refuses what it measures, by name
+        self._refused_s: dict[str, float] = {}  # since when the estimate contradicts it, by name
         self._judged_s = -math.inf  # newest message with flags
         self._texts = Texts()
         self._reason = (-math.inf, "")
@@ -146,13 +147,13 @@ class Telemetry:
         refused = [name for name, since in self._refused_s.items() if self._judged_s - since >= _REFUSED_S]
         status.estimator = _trouble_of(*self._flags) or self.satellites.trouble(now_s)
         if refused and not status.estimator:
-            status.estimator = f"it refuses what it measures: {', '.join(refused)}"
+            status.estimator = f"it contradicts what it measures: {', '.join(refused)}"
         status.is_estimator_ready = not status.estimator
 
     def _read_ratios(self, message: Any, now_s: float) -> None:
         self._judged_s = now_s
-        for field, name in _RATIOS.items():
-            if getattr(message, field, 0.0) > 1.0:
+        for field, (name, most) in _RATIOS.items():
+            if getattr(message, field, 0.0) > most:
                 self._refused_s.setdefault(name, now_s)
             else:
                 self._refused_s.pop(name, None)
