@@ -118,3 +118,16 @@ def ball_scene(centres, radius, frame="world", unit="m"):
         summary={},
         source={},
     )
+
+
+SLALOM = box_cover(
+    [
+        ((0, -20, 0), (120, -18, 32)),
+        ((0, 60, 0), (120, 62, 32)),
+        ((-4, -20, 0), (-2, 62, 32)),
+        ((122, -20, 0), (124, 62, 32)),
+        ((34, -18, 0), (38, 34, 32)),
+        ((70, 8, 0), (74, 60, 32)),
+    ]
+)
+"""A hall of 12 x 8 m with two screens, around which a way leads from (1, 1) to (11, 3)."""

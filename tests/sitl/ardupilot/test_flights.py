@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+import alula
+from alula.schemas.artifacts.artifact import write_artifact
 from alula.schemas.scenarios.vehicle import FASTBRIDGE, read_vehicle
 from alula.stages.clearance import path_clearance
 from alula.stages.flight.links.mavlink.autopilots import ARDUPILOT
@@ -11,7 +13,7 @@ from alula.stages.flight.replay import replay
 from support.ardupilot_sitl import GOAL, START, flight, sitl
 from support.flights import mission
 from support.paths import VEHICLES
-from support.small_scenes import box_cover, line_plan
+from support.small_scenes import SLALOM, box_cover, line_plan
 
 pytestmark = [pytest.mark.sitl, pytest.mark.realtime]
 
@@ -46,3 +48,11 @@ def test_a_flight_past_a_pillar_is_clear_and_its_log_repeats_every_set_point(tmp
     found = replay(tmp_path / "f.run.mcap", make_commander(made, ARDUPILOT.accepts))
     assert found.ticks > 1000
     assert found.differing == []
+
+
+def test_a_plan_behind_the_filter_is_flown_in_its_tube(tmp_path):
+    cover = tmp_path / "hall.cover.npz"
+    write_artifact(cover, SLALOM)
+    plan = alula.plan(cover, start=(1, 1, 1.2), goal=(11, 3, 1.2), speed_m_s=1.0).artifact
+    with sitl(tmp_path) as sim, flight(sim, tmp_path, plan=plan, cover=SLALOM) as flown:
+        assert flown.end(150.0) == 0, flown.said
