@@ -7,7 +7,7 @@ from support.crazyflie_host import crazyflie
 from support.crazyflie_responses import MEASURED, measure
 
 OF_THE_BODY = (
-    "silent: touches down at [m/s]"  # depends on how the program's motors run down, not on the firmware
+    "silent: touches down at [m/s]"  # differs between two programs with the same firmware
 )
 
 pytestmark = [pytest.mark.sitl, pytest.mark.realtime]
