@@ -6,9 +6,7 @@ import pytest
 from support.crazyflie_host import crazyflie
 from support.crazyflie_responses import MEASURED, measure
 
-OF_THE_BODY = (
-    "silent: touches down at [m/s]"  # differs between two programs with the same firmware
-)
+OF_THE_BODY = "silent: touches down at [m/s]"  # differs between two programs with the same firmware
 
 pytestmark = [pytest.mark.sitl, pytest.mark.realtime]
 
