@@ -1,6 +1,7 @@
 """Maps for a microcontroller: indexed, with a header and their cost, and refused when too large."""
 
 import json
+import re
 from pathlib import Path
 from shutil import copyfile
 
@@ -14,12 +15,15 @@ from alula.schemas.artifacts.provenance import read_provenance
 from alula.schemas.parameters.targets import CODE_BYTES, TARGETS, Target
 from alula.stages.compression.onboard.cost import (
     ASSUMED,
+    ASSUMED_OF_CHORD,
+    LAG_S,
     largest_budget,
     tick_instructions,
     worst_tick,
 )
 from alula.stages.compression.onboard.image import decode_map
 from alula.stages.compression.onboard.layout import encode_map, index_bytes
+from support.paths import ROOT
 
 
 @pytest.fixture
@@ -67,6 +71,14 @@ def test_what_a_tick_takes_is_told_for_each_rate(here, capsys):
     assert not {"tick_us", "bytes_left"} & plain.keys()
 
 
+def test_the_costs_are_those_of_the_apps_own_parameters():
+    text = (ROOT / "native/onboard/targets/crazyflie/src/crazyflie_filter.c").read_text()
+    app = {name: float(value) for name, value in re.findall(r"config\.(\w+) = ([\d.]+)F;", text)}
+    assumed = {"radius_m": app["radius_m"], "v_max": app["v_max"], "dt_s": app["period_s"]}
+    assert {**assumed, "beta": _core.PolytopeCbfConfig().beta} == ASSUMED_OF_CHORD
+    assert app["lag"] == LAG_S
+
+
 def test_a_map_that_is_too_slow_for_its_rate_exits_4_and_writes_nothing(here, capsys, monkeypatch):
     words = ["export", "tiny.cover.npz", "-o", "a.map.bin", "--target", "crazyflie", "--json"]
     assert run([*words, "--rate", "50", "-n"]) == 0
@@ -97,6 +109,21 @@ def test_the_bound_holds_wherever_the_vehicle_is(here):
         native.filter(x, u)
         most = max(most, int(tick_instructions(np.array(native.work()))))
     assert 0.1 * worst["bound"] < most <= worst["bound"]
+    assert worst["measured"] <= worst["bound"]
+
+
+@pytest.mark.parametrize("radius_m", [0.15, 1.5])
+def test_the_bound_of_the_chord_holds_wherever_the_vehicle_is(here, radius_m):
+    raw = encode_map(read_artifact(Path("tiny.cover.npz")), indexed=True)
+    rng, worst = np.random.default_rng(2), worst_tick(raw, decode_map(raw), of_chord=True)
+    native = _core.OnboardChord(raw, _core.PolytopeCbfConfig(radius_m=radius_m, dt_s=0.01), LAG_S, 30.0)
+    counted = []
+    for x, u in zip(rng.uniform(-5, 5, (500, 3)).tolist(), rng.normal(size=(500, 3)).tolist(), strict=True):
+        native.filter(x, u, u)
+        counted.append(native.work())
+    counted = np.array(counted)
+    assert (counted[:, 5] > 0).any()
+    assert tick_instructions(counted, of_chord=True).max() <= worst["bound"]
     assert worst["measured"] <= worst["bound"]
 
 

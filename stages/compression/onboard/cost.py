@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -52,6 +53,33 @@ def tick_instructions(work: NDArray[np.int64], *, of_chord: bool = False) -> NDA
     return total + BASE_INSTRUCTIONS
 
 
+_Work = Callable[[list[float], list[float]], Sequence[int]]
+
+
+def _plain(raw: bytes, extent_m: float) -> _Work:
+    """Work of a tick of polytope-cbf, by position and nominal command."""
+    native = _core.PolytopeCbf.from_image(raw, extent_m=extent_m, **ASSUMED)
+
+    def work_of(x: list[float], u: list[float]) -> Sequence[int]:
+        native.filter(x, u)
+        return native.work()
+
+    return work_of
+
+
+def _chord(raw: bytes, extent_m: float) -> _Work:
+    """Work of a tick of the chord filter at the speed limit along the nominal command, by position and it."""
+    config = _core.PolytopeCbfConfig(**ASSUMED_OF_CHORD)
+    native = _core.OnboardChord(raw, config, LAG_S, extent_m + LAG_S * config.v_max)
+
+    def work_of(x: list[float], u: list[float]) -> Sequence[int]:
+        speed = max(math.hypot(*u), 1e-9)
+        native.filter(x, [config.v_max * each / speed for each in u], u)
+        return native.work()
+
+    return work_of
+
+
 def worst_tick(raw: bytes, image: MapImage, *, of_chord: bool = False) -> dict[str, int]:
     """Maximum instructions of a tick on a map, with the parameters `ASSUMED` or those of the Crazyflie's app.
 
@@ -80,21 +108,11 @@ def worst_tick(raw: bytes, image: MapImage, *, of_chord: bool = False) -> dict[s
         + rng.choice([0.0, 0.0, 0.4], (SAMPLES, 1)) * rng.normal(size=(SAMPLES, 3))
     )
     nominal = 0.5 * (low + high) - points
-    plain = _core.PolytopeCbf.from_image(raw, extent_m=extent, **ASSUMED)
-    config = _core.PolytopeCbfConfig(**ASSUMED_OF_CHORD)
-    chord = _core.OnboardChord(raw, config, LAG_S, extent + LAG_S * config.v_max)
+    work_of = _chord(raw, extent) if of_chord else _plain(raw, extent)
 
     def cost(at: NDArray[np.float64]) -> NDArray[np.int64]:
-        work = []
-        speed = np.maximum(np.linalg.norm(nominal, axis=1, keepdims=True), 1e-9) / config.v_max
-        ticks = (np.clip(at, -extent, extent).tolist(), (nominal / speed).tolist(), nominal.tolist())
-        for x, v, u in zip(*ticks, strict=True):
-            if of_chord:
-                chord.filter(x, v, u)
-            else:
-                plain.filter(x, u)
-            work.append(chord.work() if of_chord else plain.work())
-        return tick_instructions(np.array(work), of_chord=of_chord)
+        ticks = zip(np.clip(at, -extent, extent).tolist(), nominal.tolist(), strict=True)
+        return tick_instructions(np.array([work_of(x, u) for x, u in ticks]), of_chord=of_chord)
 
     found = cost(points)
     measured = int(found.max())
