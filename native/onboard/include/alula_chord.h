@@ -72,8 +72,8 @@ ALULA_MUST_USE alula_status alula_chord_open(alula_chord* chord, const alula_map
                                              const alula_polytope_cbf_config* config, float lag_s);
 
 /* The safe velocity nearest to u_nom at position x and velocity v. Inputs that are not finite, or a chord beyond the
- * map's extent, are refused: u = 0. `margin_m` is the minimum of D_k - r, `hard_margin_m` psi - r at x, where a hull can
- * matter; `fraction` the part of u left by the speed limit. */
+ * map's extent, are refused: u = 0. `margin_m` is the minimum of D_k - r, `hard_margin_m` psi - r at x, where a hull
+ * can matter; `fraction` the part of u left by the speed limit. */
 ALULA_MUST_USE alula_filter_status alula_chord_filter(alula_chord* chord, const float x[3], const float v[3],
                                                       const float u_nom[3], int is_taking_off,
                                                       alula_polytope_result* result);
