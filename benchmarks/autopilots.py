@@ -144,7 +144,7 @@ class Judge:
 
 def fly_simulated(folder: Path, cell: Cell) -> dict[str, Any]:
     """Fly a cell in lock-step."""
-    from alula.stages.sim_vehicle.ardupilot.estimator import EstimatorOptions
+    from alula.stages.sim_vehicle.common.estimator import EstimatorOptions
     from support.flights import mission
     from support.lockstep import Flight
 
@@ -176,7 +176,7 @@ def scenario_of(
     They begin as a real flight did, or else a little below the plan's start on the climb to it. The noise of
     the position is that of real flights at this speed, if there are any.
     """
-    from alula.stages.sim_vehicle.ardupilot.estimator import EstimatorOptions
+    from alula.stages.sim_vehicle.common.estimator import EstimatorOptions
 
     first, noise = cells[0], EstimatorOptions()
     kind = FILTERS[first.name][1]

@@ -42,7 +42,7 @@ from alula.schemas.log.run import record_path
 from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.clearance import hull_obstacles, path_clearance, scene_obstacles
 from alula.stages.compression.hulls import Hulls
-from alula.stages.sim_vehicle.ardupilot.copter import Copter
+from alula.stages.sim_vehicle.ardupilot.copter import ArduCopter
 from alula.stages.sim_vehicle.simulator import SimulatedVehicle
 from support.autopilot_client import EXACT
 from support.responses import Measurer, Stepped, stops
@@ -252,7 +252,7 @@ def judge(folder: Path, plan: Path, name: str, seed: int, speed_m_s: float) -> d
 
 def lag_ratio() -> float:
     """Times in which the simulated autopilot stops over those of the real one; the farthest from 1."""
-    copter = Copter(FASTBRIDGE, seed=1, options=EXACT)
+    copter = ArduCopter(FASTBRIDGE, seed=1, options=EXACT)
     client = Measurer(Stepped(SimulatedVehicle(copter, seed=1)))
     client.take_off()
     found = stops(client)

@@ -185,8 +185,8 @@ def command(
     else:
         from alula.schemas.artifacts.signing_key import read_key
         from alula.schemas.scenarios.vehicles import vehicle_named
-        from alula.stages.sim_vehicle.ardupilot.estimator import EstimatorOptions
         from alula.stages.sim_vehicle.common.airframe import Terrain
+        from alula.stages.sim_vehicle.common.estimator import EstimatorOptions
         from alula.stages.sim_vehicle.common.faults import parse_fault
         from alula.stages.sim_vehicle.common.hand import Hand
         from alula.stages.sim_vehicle.simulator import FIRMWARES, SimulatedVehicle

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 import msgspec
 import numpy as np
 
-from alula.stages.sim_vehicle.ardupilot.copter import Copter
+from alula.stages.sim_vehicle.ardupilot.copter import ArduCopter
 from alula.stages.sim_vehicle.ardupilot.dialogue import Dialogue
 from alula.stages.sim_vehicle.ardupilot.modes import Mode
 from alula.stages.sim_vehicle.ardupilot.telemetry import Telemetry
 from alula.stages.sim_vehicle.common.airframe import Motion
+from alula.stages.sim_vehicle.common.copter import Copter
 from alula.stages.sim_vehicle.common.faults import Fault, Schedule
 from alula.stages.sim_vehicle.common.line import Line
 from alula.stages.sim_vehicle.common.packets import Codec, Message
@@ -44,7 +45,7 @@ class Firmware:
 
 
 FIRMWARES: dict[str, Firmware] = {
-    "ardupilot": Firmware(Copter, Telemetry, Dialogue, {mode.name: int(mode) for mode in Mode}),
+    "ardupilot": Firmware(ArduCopter, Telemetry, Dialogue, {mode.name: int(mode) for mode in Mode}),
     "px4": Firmware(Px4Copter, Px4Telemetry, Px4Dialogue, SWITCH),
 }
 

@@ -341,7 +341,7 @@ class Flown(Served):
 
 
 def test_a_flight_that_was_stopped_says_so_and_ends_with_a_code_of_4(tmp_path, monkeypatch):
-    monkeypatch.setattr("alula.stages.sim_vehicle.ardupilot.copter.Copter.ARMING_DELAY_S", 0.1)
+    monkeypatch.setattr("alula.stages.sim_vehicle.ardupilot.copter.ArduCopter.ARMING_DELAY_S", 0.1)
     write_artifact(tmp_path / "plan.npz", line_plan((0.0, 0.0, 0.6), (5.0, 0.0, 0.6), 12.0))
     write_artifact(tmp_path / "cover.npz", box_cover([((0, 30, 0), (50, 34, 30))]))
     served = Flown()

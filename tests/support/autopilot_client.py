@@ -3,8 +3,8 @@
 import math
 
 from alula.schemas.scenarios.vehicle import FASTBRIDGE
-from alula.stages.sim_vehicle.ardupilot.copter import Copter
-from alula.stages.sim_vehicle.ardupilot.estimator import EstimatorOptions
+from alula.stages.sim_vehicle.ardupilot.copter import ArduCopter
+from alula.stages.sim_vehicle.common.estimator import EstimatorOptions
 from alula.stages.sim_vehicle.common.packets import mavlink
 from alula.stages.sim_vehicle.simulator import SimulatedVehicle
 
@@ -28,7 +28,7 @@ def of(kind, messages):
 class Client:
     """A ground station or companion with stock pymavlink packing, on the vehicle's own clock."""
 
-    kind = Copter
+    kind = ArduCopter
 
     def __init__(self, *, options=QUICK, vehicle=FASTBRIDGE, parameters=None, seed=1, system=255, **channel):
         copter = self.kind(vehicle, parameters=parameters, options=options, seed=seed)

@@ -12,7 +12,7 @@ from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.flight.links.open_link import open_link
 from alula.stages.flight.links.options import LinkOptions
 from alula.stages.flight.links.protocol import Order
-from alula.stages.sim_vehicle.ardupilot.copter import Copter
+from alula.stages.sim_vehicle.ardupilot.copter import ArduCopter
 from alula.stages.sim_vehicle.simulator import SimulatedVehicle
 from alula.stages.vehicles.frames import LocalFrame
 from support.autopilot_client import EXACT
@@ -30,7 +30,7 @@ G = FASTBRIDGE.body.gravity_m_s2
 class Served:
     """The simulated autopilot behind a socket; lives as the tests' clock goes."""
 
-    kind, fast = Copter, FAST
+    kind, fast = ArduCopter, FAST
 
     def __init__(self, options=EXACT, parameters=None, epoch_s=0.0, seed=3, terrain=None, **channel):
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from alula.stages.sim_vehicle.ardupilot.parameters import Parameters
 from alula.stages.sim_vehicle.ardupilot.pid import Pid
 from alula.stages.sim_vehicle.ardupilot.shaping import low_pass_weight, square_root
 from alula.stages.sim_vehicle.common.airframe import TICK_S, Airframe
+from alula.stages.sim_vehicle.common.parameters import Parameters
 from alula.stages.sim_vehicle.common.quaternions import (
     Quat,
     Vector,

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from alula.stages.sim_vehicle.ardupilot.copter import INFO, Copter
-from alula.stages.sim_vehicle.ardupilot.estimator import is_location
 from alula.stages.sim_vehicle.ardupilot.modes import Mode
 from alula.stages.sim_vehicle.ardupilot.telemetry import Telemetry
+from alula.stages.sim_vehicle.common.copter import INFO, Copter
+from alula.stages.sim_vehicle.common.estimator import is_location
 from alula.stages.sim_vehicle.common.packets import Message, mavlink
 from alula.stages.sim_vehicle.common.quaternions import to_euler
 

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from typing import ClassVar
 
 from alula.stages.sim_vehicle.ardupilot.commands import Commands, command_of
-from alula.stages.sim_vehicle.ardupilot.copter import INFO, WARNING, Copter
 from alula.stages.sim_vehicle.ardupilot.modes import MODES
 from alula.stages.sim_vehicle.ardupilot.telemetry import Telemetry
+from alula.stages.sim_vehicle.common.copter import INFO, WARNING, Copter
 from alula.stages.sim_vehicle.common.packets import COMPONENT, Codec, Message, mavlink
 
 _CHUNK = 50  # characters of a STATUSTEXT

@@ -9,10 +9,10 @@ from enum import Enum
 from alula.stages.sim_vehicle.ardupilot.attitude import AttitudeControl
 from alula.stages.sim_vehicle.ardupilot.guided import Guided
 from alula.stages.sim_vehicle.ardupilot.modes import Mode
-from alula.stages.sim_vehicle.ardupilot.parameters import Parameters
-from alula.stages.sim_vehicle.ardupilot.pilot import Pilot
 from alula.stages.sim_vehicle.ardupilot.position import PositionControl
 from alula.stages.sim_vehicle.common.airframe import TICK_S, Motion
+from alula.stages.sim_vehicle.common.parameters import Parameters
+from alula.stages.sim_vehicle.common.pilot import Pilot
 from alula.stages.sim_vehicle.common.quaternions import Vector, from_euler, to_euler
 
 _AT_M = 0.3  # a point is reached within this distance

@@ -6,10 +6,10 @@ import math
 from enum import Enum
 
 from alula.stages.sim_vehicle.ardupilot.attitude import AttitudeControl
-from alula.stages.sim_vehicle.ardupilot.parameters import Parameters
 from alula.stages.sim_vehicle.ardupilot.position import PositionControl
 from alula.stages.sim_vehicle.common.airframe import TICK_S, Motion
 from alula.stages.sim_vehicle.common.packets import Message, mavlink
+from alula.stages.sim_vehicle.common.parameters import Parameters
 from alula.stages.sim_vehicle.common.quaternions import (
     Quat,
     Vector,

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from alula.stages.sim_vehicle.ardupilot.parameters import Parameters
 from alula.stages.sim_vehicle.ardupilot.shaping import low_pass_weight
 from alula.stages.sim_vehicle.common.airframe import TICK_S
+from alula.stages.sim_vehicle.common.parameters import Parameters
 
 
 class Pid:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 from alula.stages.sim_vehicle.ardupilot.attitude import AttitudeControl
-from alula.stages.sim_vehicle.ardupilot.parameters import Parameters
 from alula.stages.sim_vehicle.ardupilot.pid import Pid
 from alula.stages.sim_vehicle.ardupilot.shaping import (
     LevelProfile,
@@ -14,6 +13,7 @@ from alula.stages.sim_vehicle.ardupilot.shaping import (
     square_root,
 )
 from alula.stages.sim_vehicle.common.airframe import TICK_S, Motion
+from alula.stages.sim_vehicle.common.parameters import Parameters
 from alula.stages.sim_vehicle.common.quaternions import (
     Quat,
     Vector,

@@ -7,9 +7,9 @@ import math
 from collections.abc import Callable, Mapping
 from typing import ClassVar
 
-from alula.stages.sim_vehicle.ardupilot.copter import Copter
 from alula.stages.sim_vehicle.ardupilot.modes import MODES, Mode
 from alula.stages.sim_vehicle.common.airframe import TICK_S, Motion
+from alula.stages.sim_vehicle.common.copter import Copter
 from alula.stages.sim_vehicle.common.packets import Message, mavlink
 from alula.stages.sim_vehicle.common.quaternions import to_euler
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from alula.stages.sim_vehicle.ardupilot.attitude import AttitudeControl
-from alula.stages.sim_vehicle.ardupilot.parameters import Parameters
 from alula.stages.sim_vehicle.common.airframe import TICK_S, Airframe
+from alula.stages.sim_vehicle.common.parameters import Parameters
 from alula.stages.sim_vehicle.common.quaternions import (
     Quat,
     Vector,

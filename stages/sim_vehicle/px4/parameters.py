@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from alula.stages.sim_vehicle.ardupilot.estimator import EXTERNAL, GPS
 from alula.stages.sim_vehicle.ardupilot.parameters import TABLE as ARDUPILOT
-from alula.stages.sim_vehicle.ardupilot.parameters import ParamType
+from alula.stages.sim_vehicle.common.estimator import EXTERNAL, GPS
+from alula.stages.sim_vehicle.common.parameters import ParamType
 
 _I, _F = ParamType.INT32, ParamType.FLOAT
 _NO_TIMEOUT_S = 1e9  # a set-point stays in force until the mode ends

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 from alula.stages.sim_vehicle.ardupilot.attitude import AttitudeControl
-from alula.stages.sim_vehicle.ardupilot.parameters import Parameters
 from alula.stages.sim_vehicle.ardupilot.position import PositionControl
 from alula.stages.sim_vehicle.ardupilot.shaping import square_root
 from alula.stages.sim_vehicle.common.airframe import TICK_S, Motion
+from alula.stages.sim_vehicle.common.parameters import Parameters
 from alula.stages.sim_vehicle.common.quaternions import Vector, added, from_euler, scaled, to_euler
 
 _SPEED_GAIN = 2.5  # [1/s]

@@ -8,13 +8,13 @@ from collections.abc import Mapping
 from typing import ClassVar, cast
 
 from alula.stages.sim_vehicle.ardupilot.commands import Command, Commands
-from alula.stages.sim_vehicle.ardupilot.copter import CRITICAL, Copter
 from alula.stages.sim_vehicle.ardupilot.dialogue import Dialogue, parameter_name
-from alula.stages.sim_vehicle.ardupilot.estimator import is_location
 from alula.stages.sim_vehicle.ardupilot.modes import Mode
-from alula.stages.sim_vehicle.ardupilot.parameters import ParamType
 from alula.stages.sim_vehicle.ardupilot.telemetry import CAPABILITIES, Telemetry
+from alula.stages.sim_vehicle.common.copter import CRITICAL, Copter
+from alula.stages.sim_vehicle.common.estimator import is_location
 from alula.stages.sim_vehicle.common.packets import Codec, Message, mavlink
+from alula.stages.sim_vehicle.common.parameters import ParamType
 from alula.stages.sim_vehicle.common.quaternions import conjugate, rotate
 from alula.stages.sim_vehicle.px4.modes import ROWS, Px4Mode, custom_mode
 from alula.stages.sim_vehicle.px4.vehicle import Px4Copter

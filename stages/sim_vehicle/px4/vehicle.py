@@ -13,12 +13,12 @@ from typing import ClassVar
 
 from alula.schemas.scenarios.vehicle import Vehicle
 from alula.stages.sim_vehicle.ardupilot.attitude import AttitudeControl
-from alula.stages.sim_vehicle.ardupilot.battery import Charge
-from alula.stages.sim_vehicle.ardupilot.copter import CRITICAL, INFO, WARNING, Copter
-from alula.stages.sim_vehicle.ardupilot.estimator import LatLonAlt
 from alula.stages.sim_vehicle.ardupilot.flying import Flying
-from alula.stages.sim_vehicle.ardupilot.parameters import Parameters
 from alula.stages.sim_vehicle.ardupilot.position import PositionControl
+from alula.stages.sim_vehicle.common.battery import Charge
+from alula.stages.sim_vehicle.common.copter import CRITICAL, INFO, WARNING, Copter
+from alula.stages.sim_vehicle.common.estimator import LatLonAlt
+from alula.stages.sim_vehicle.common.parameters import Parameters
 from alula.stages.sim_vehicle.px4.attitude import Px4AttitudeControl
 from alula.stages.sim_vehicle.px4.flying import Px4Flying
 from alula.stages.sim_vehicle.px4.modes import ROWS, SWITCHED, Px4Mode
@@ -90,7 +90,6 @@ class Px4Copter(Copter):
     LOCATION: ClassVar[LatLonAlt] = ZURICH
     POSITION: ClassVar[type[PositionControl]] = Px4PositionControl
     FLYING: ClassVar[type[Flying]] = Px4Flying
-    ARMING_DELAY_S: ClassVar[float] = 0.0
     LANDED_S: ClassVar[float] = 2.5
 
     def _boot(self) -> None:
@@ -109,9 +108,6 @@ class Px4Copter(Copter):
     def _attitude_control(self, vehicle: Vehicle) -> AttitudeControl:
         rate_s, motor_s = vehicle.rates.tilting_s, vehicle.disturbance.motor_time_constant_s
         return Px4AttitudeControl(self.airframe, self.parameters, rate_s, motor_s)
-
-    def _checks_crashes(self) -> bool:
-        return False  # by default its failure detector does not act in the air
 
     def _parameters(self, values: Mapping[str, float]) -> Parameters:
         return Parameters(values, table=TABLE, derived=DERIVED)
@@ -383,6 +379,9 @@ class Px4Copter(Copter):
 
     def _is_ground_station_away(self) -> bool:
         return self._gcs_s is None or self.time_s - self._gcs_s > self.parameters["COM_DL_LOSS_T"]
+
+    def _crash(self) -> None:
+        """Nothing: by default its failure detector does not act in the air."""
 
     def _touch_down(self) -> None:
         self._idle_s = 0.0

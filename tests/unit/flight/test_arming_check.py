@@ -5,8 +5,8 @@ import pytest
 from alula.stages.flight.links.mavlink.autopilots import ARDUPILOT, PX4
 from alula.stages.flight.links.mavlink.telemetry import Telemetry
 from alula.stages.flight.loop.supervisor import Event, State
-from alula.stages.sim_vehicle.ardupilot.pilot import Pilot
 from alula.stages.sim_vehicle.common.packets import mavlink
+from alula.stages.sim_vehicle.common.pilot import Pilot
 from support.flights import mission
 from support.lockstep import Flight, Upset, fault
 from support.small_scenes import line_plan

@@ -5,7 +5,7 @@ import pytest
 
 from alula.schemas.scenarios.vehicle import FASTBRIDGE, read_vehicle
 from alula.stages.flight.loop.supervisor import Event
-from alula.stages.sim_vehicle.ardupilot.copter import Copter
+from alula.stages.sim_vehicle.ardupilot.copter import ArduCopter
 from alula.stages.sim_vehicle.ardupilot.modes import Mode
 from alula.stages.sim_vehicle.px4.modes import Px4Mode
 from support.flights import BALL, GOAL, START, mission
@@ -64,7 +64,7 @@ def test_polytope_cbf_flies_past_a_pillar_and_lands(among_hulls, kind, flown, th
 class AsShipped(Watched):
     """Climbs and stops as slowly as with the parameters that ArduPilot comes with."""
 
-    kind, fast = Copter, INDOORS
+    kind, fast = ArduCopter, INDOORS
 
 
 @pytest.mark.every(2)

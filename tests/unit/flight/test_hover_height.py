@@ -5,7 +5,7 @@ import pytest
 
 from alula.schemas.scenarios.vehicle import FASTBRIDGE, read_vehicle
 from alula.stages.flight.loop.supervisor import Event, State
-from alula.stages.sim_vehicle.ardupilot.copter import Copter
+from alula.stages.sim_vehicle.ardupilot.copter import ArduCopter
 from support.flights import mission
 from support.lockstep import Flight
 from support.paths import VEHICLES
@@ -19,7 +19,7 @@ PLAN = line_plan((0.3, 2.0, 1.0), (3.7, 2.0, 1.0), 7.0)
 @pytest.mark.parametrize("factor", [0.85, 1.07, 1.2])
 def test_the_height_is_kept(factor):
     """ArduPilot's own simulation reports 0.39 and hovers at 0.365: 7 %, which was 0.19 m of height."""
-    right = Copter(FASTBRIDGE).hover_throttle
+    right = ArduCopter(FASTBRIDGE).hover_throttle
     made = mission("cone-backup", scene=FAR, plan=PLAN, vehicle=read_vehicle(VEHICLES / "arducopter.toml"))
     flown = Flight(made, parameters={"MOT_THST_HOVER": factor * right}).fly()
     assert flown.cause is Event.PLAN_FINISHED

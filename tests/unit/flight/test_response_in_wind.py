@@ -6,7 +6,7 @@ import pytest
 from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.flight import mission as missions
 from alula.stages.flight.loop.supervisor import Event, State
-from alula.stages.sim_vehicle.ardupilot.estimator import EstimatorOptions
+from alula.stages.sim_vehicle.common.estimator import EstimatorOptions
 from support.flights import mission
 from support.lockstep import Flight, Upset, blow
 from support.paths import VEHICLES

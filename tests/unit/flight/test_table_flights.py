@@ -444,7 +444,7 @@ def holds(flight):
 @pytest.fixture(autouse=True)
 def at_once(monkeypatch):
     """Rotors obey as soon as they are armed: two seconds less of each flight."""
-    monkeypatch.setattr("alula.stages.sim_vehicle.ardupilot.copter.Copter.ARMING_DELAY_S", 0.1)
+    monkeypatch.setattr("alula.stages.sim_vehicle.ardupilot.copter.ArduCopter.ARMING_DELAY_S", 0.1)
 
 
 @pytest.mark.every(10)

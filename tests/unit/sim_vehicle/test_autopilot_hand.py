@@ -8,9 +8,9 @@ import pytest
 from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.flight.links.protocol import VehicleState
 from alula.stages.flight.loop.frame_check import HandCheck
-from alula.stages.sim_vehicle.ardupilot.copter import Copter
-from alula.stages.sim_vehicle.ardupilot.estimator import EstimatorOptions
+from alula.stages.sim_vehicle.ardupilot.copter import ArduCopter
 from alula.stages.sim_vehicle.ardupilot.modes import Mode
+from alula.stages.sim_vehicle.common.estimator import EstimatorOptions
 from alula.stages.sim_vehicle.common.hand import Hand
 from alula.stages.sim_vehicle.common.packets import Codec, mavlink
 from alula.stages.sim_vehicle.px4.modes import Px4Mode
@@ -28,7 +28,7 @@ def state_of(motion, frame):
     )
 
 
-def carried(frame, *, hears=True, until_s=20.0, kind=Copter):
+def carried(frame, *, hears=True, until_s=20.0, kind=ArduCopter):
     """The vehicle after a client was connected for a time, the result of the check, and its distance."""
     copter = kind(FASTBRIDGE, options=EstimatorOptions(boot_time_s=3.0), hand=Hand())
     check, farthest = HandCheck(), 0.0
@@ -42,7 +42,7 @@ def carried(frame, *, hears=True, until_s=20.0, kind=Copter):
     return copter, check, farthest
 
 
-@pytest.mark.parametrize(("kind", "mode"), [(Copter, Mode.GUIDED), (Px4Copter, Px4Mode.POSCTL)])
+@pytest.mark.parametrize(("kind", "mode"), [(ArduCopter, Mode.GUIDED), (Px4Copter, Px4Mode.POSCTL)])
 def test_a_hand_moves_it_east_north_and_up_and_puts_it_back(kind, mode):
     copter, check, farthest = carried(LocalFrame(), kind=kind)
     assert (check.prompt, check.verdict()) == ("", "")
@@ -64,7 +64,7 @@ def test_without_a_client_nobody_touches_it():
     assert carried(LocalFrame(), hears=False, until_s=9.0)[2] == 0.0
 
 
-@pytest.mark.parametrize("kind", [Copter, Px4Copter], ids=lambda kind: kind.AUTOPILOT)
+@pytest.mark.parametrize("kind", [ArduCopter, Px4Copter], ids=lambda kind: kind.AUTOPILOT)
 def test_a_companion_is_a_client_for_whom_it_is_moved(kind):
     vehicle = SimulatedVehicle(kind(FASTBRIDGE, options=EstimatorOptions(boot_time_s=1.0), hand=Hand()))
     companion, farthest = Codec(255), 0.0
@@ -77,7 +77,7 @@ def test_a_companion_is_a_client_for_whom_it_is_moved(kind):
 
 
 def test_a_hand_lets_go_of_what_is_armed():
-    copter = Copter(FASTBRIDGE, options=EstimatorOptions(boot_time_s=3.0), hand=Hand())
+    copter = ArduCopter(FASTBRIDGE, options=EstimatorOptions(boot_time_s=3.0), hand=Hand())
     copter.set_mode(4)
     while not copter.airframe.is_carried:
         copter.note_ground_station(255)
@@ -93,6 +93,6 @@ def test_a_hand_lets_go_of_what_is_armed():
 
 
 def test_cameras_see_it_where_it_was_put():
-    copter = Copter(FASTBRIDGE)
+    copter = ArduCopter(FASTBRIDGE)
     seen = json.loads(Camera(1, (0.8, -0.7, 0.1)).datagram(0.5, copter.airframe.truth))
     assert seen["position_m"] == pytest.approx([0.8, -0.7, 0.1], abs=0.005)

@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from alula.schemas.errors import UsageError
-from alula.stages.sim_vehicle.ardupilot.parameters import TABLE, Parameters
+from alula.stages.sim_vehicle.ardupilot.parameters import TABLE
 from alula.stages.sim_vehicle.common.packets import mavlink
+from alula.stages.sim_vehicle.common.parameters import Parameters
 from support.autopilot_client import EXACT, GUIDED, Client, of
 from support.effort import examples
 
@@ -80,7 +81,7 @@ def test_a_parameter_that_is_set_answers_with_what_now_holds():
 @settings(deadline=None)
 @given(st.sampled_from(sorted(TABLE)), st.floats(allow_nan=False, allow_infinity=False, width=32))
 def test_integer_parameters_stay_within_their_type(name, value):
-    parameters = Parameters()
+    parameters = Parameters(table=TABLE)
     assert parameters.set(name, value)
     bits = {2: 8, 4: 16, 6: 32}.get(TABLE[name][0])
     if bits is None:
@@ -92,9 +93,9 @@ def test_integer_parameters_stay_within_their_type(name, value):
 
 def test_unknown_parameters_at_boot_are_refused():
     with pytest.raises(UsageError, match="no parameter is called 'NOPE'"):
-        Parameters({"NOPE": 1})
+        Parameters({"NOPE": 1}, table=TABLE)
     with pytest.raises(UsageError, match="no meaning"):
-        Parameters({"GUID_TIMEOUT": math.inf})
+        Parameters({"GUID_TIMEOUT": math.inf}, table=TABLE)
 
 
 def test_messages_come_only_at_the_rate_they_were_asked_for():

@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from alula.stages.sim_vehicle.ardupilot.estimator import NO_POSITION, SETTLED, EstimatorOptions
 from alula.stages.sim_vehicle.ardupilot.modes import Mode
 from alula.stages.sim_vehicle.common import quaternions
+from alula.stages.sim_vehicle.common.estimator import NO_POSITION, SETTLED, EstimatorOptions
 from alula.stages.sim_vehicle.common.packets import mavlink
 from support.autopilot_client import EXACT, GUIDED, Client
 

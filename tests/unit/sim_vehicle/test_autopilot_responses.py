@@ -3,14 +3,14 @@
 import pytest
 
 from alula.schemas.scenarios.vehicle import FASTBRIDGE
-from alula.stages.sim_vehicle.ardupilot.copter import Copter
+from alula.stages.sim_vehicle.ardupilot.copter import ArduCopter
 from alula.stages.sim_vehicle.simulator import SimulatedVehicle
 from support.autopilot_client import EXACT
 from support.responses import ANSWERS, MEASURED, Measurer, Stepped, measure
 
 
 def measurer(**options):
-    return Measurer(Stepped(SimulatedVehicle(Copter(FASTBRIDGE, seed=1, **options), seed=1)))
+    return Measurer(Stepped(SimulatedVehicle(ArduCopter(FASTBRIDGE, seed=1, **options), seed=1)))
 
 
 @pytest.mark.slow

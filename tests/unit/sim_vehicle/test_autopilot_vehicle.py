@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from alula.schemas.errors import UsageError
 from alula.schemas.scenarios.vehicle import FASTBRIDGE, BodyTable, LimitsTable, Vehicle
 from alula.stages.rotation import matrix_from_quat_wxyz, multiply_quat_wxyz
-from alula.stages.sim_vehicle.ardupilot.copter import Copter
-from alula.stages.sim_vehicle.ardupilot.estimator import NO_POSITION, SETTLED, EstimatorOptions
+from alula.stages.sim_vehicle.ardupilot.copter import ArduCopter
 from alula.stages.sim_vehicle.ardupilot.modes import MODES, Mode, refusal
 from alula.stages.sim_vehicle.common import quaternions
+from alula.stages.sim_vehicle.common.estimator import NO_POSITION, SETTLED, EstimatorOptions
 from alula.stages.sim_vehicle.common.faults import Fault
 from alula.stages.sim_vehicle.common.packets import mavlink
 from support.autopilot_client import GUIDED, LAND, LOITER, NOGPS, QUICK, Client
@@ -312,4 +312,4 @@ def test_only_quadrotors_fly():
         limits=LimitsTable(max_acceleration_m_s2=3.0),
     )
     with pytest.raises(UsageError, match="quadrotor is needed"):
-        Copter(point)
+        ArduCopter(point)

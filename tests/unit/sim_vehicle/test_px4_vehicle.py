@@ -5,7 +5,7 @@ import struct
 
 import pytest
 
-from alula.stages.sim_vehicle.ardupilot.estimator import EstimatorOptions
+from alula.stages.sim_vehicle.common.estimator import EstimatorOptions
 from alula.stages.sim_vehicle.common.faults import Fault
 from alula.stages.sim_vehicle.common.packets import mavlink as m
 from alula.stages.sim_vehicle.px4.modes import Px4Mode

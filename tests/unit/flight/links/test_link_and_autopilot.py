@@ -10,7 +10,7 @@ import pytest
 from alula.schemas.errors import LinkError
 from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.flight.links.protocol import Order
-from alula.stages.sim_vehicle.ardupilot.copter import Copter
+from alula.stages.sim_vehicle.ardupilot.copter import ArduCopter
 from alula.stages.sim_vehicle.common.faults import Fault
 from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint, VelocitySetpoint
 from support.autopilot_client import EXACT, QUICK
@@ -72,7 +72,7 @@ def test_rates_and_thrust_mean_what_they_say():
 
 
 def test_a_wrong_throttle_at_hover_is_found_in_flight():
-    right = Copter(FASTBRIDGE).hover_throttle
+    right = ArduCopter(FASTBRIDGE).hover_throttle
     served = Served(parameters={"MOT_THST_HOVER": 1.25 * right})
     with flight(served=served, flies_rates=True) as (served, time, link):
         assert link.hover.value == pytest.approx(1.25 * right)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from alula.stages.sim_vehicle.ardupilot.parameters import Parameters
+from alula.stages.sim_vehicle.common.parameters import Parameters
 
 CHANNELS = 16
 CENTRE, LOW, HIGH = 1500, 1000, 2000

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from alula.stages.sim_vehicle.ardupilot.parameters import Parameters
+from alula.stages.sim_vehicle.common.parameters import Parameters
 
 _FULL_V, _EMPTY_V = 12.6, 9.9
 _IDLE_A, _HOVER_A = 0.5, 12.0

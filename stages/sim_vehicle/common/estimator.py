@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from alula.stages.sim_vehicle.ardupilot.parameters import Parameters
 from alula.stages.sim_vehicle.common.airframe import TICK_S, Motion
+from alula.stages.sim_vehicle.common.parameters import Parameters
 from alula.stages.sim_vehicle.common.quaternions import (
     Quat,
     Vector,
