@@ -4,7 +4,8 @@ Usage: python compare.py [--markdown FILE] [--onboard FILE] FOLDER SCENE [SCENE 
 
 A scene has FOLDER/SCENE.metric.scene.npz, SCENE.voxels.npz, SCENE.coacd.npz, and covers by method
 "default" or "paper": SCENE.METHOD.N.cover.npz for the curve, SCENE.METHOD.same.cover.npz beside CoACD.
-SCENE.figure-5.json and SCENE.table-2.json are the flights of flights.py, where there are any. The rate on a
+SCENE.figure-5.json, SCENE.table-2.json and SCENE.table-2-crazyflie.json are the flights of flights.py and
+crazyflie.py, where there are any. The rate on a
 microcontroller is read from the page --onboard.
 """
 
@@ -24,7 +25,7 @@ from papers.comparison import common_words, this_machine, write_comparison, writ
 from papers.papers import POLYMERGE
 from papers.polymerge import maps as polymerge
 from papers.polymerge.figures import flights_figure
-from papers.polymerge.flights import Flights, figure_5_table, from_record, table_2
+from papers.polymerge.flights import Flights, figure_5_table, from_record, table_2, table_2_in_firmware
 from papers.polymerge.maps import Polytopes, SceneMaps
 from papers.polymerge.measure import half_spaces, measure_cover, measure_points
 from papers.polymerge.verdicts import verdict_rows
@@ -116,10 +117,11 @@ triangles, then CoACD with threshold 0.05 and without its own remesh, which fill
 {max(limits):g} s of CPU. The paper tunes CoACD to as many hulls as it gives; our maps get the number that
 CoACD finds, or 300 where it finds none in that time."""
 figure_5, second = flights_of("figure-5"), flights_of("table-2")
+in_firmware = flights_of("table-2-crazyflie")
 figures = [polymerge.volumes_figure(scenes), polymerge.curve_figure(scenes)]
 shown = [drawn.figure for drawn in figures]
 shown += [drawn] if (drawn := flights_figure(figure_5)) is not None else []
-verdicts = verdict_rows(scenes, figure_5, second, onboard_rate())
+verdicts = verdict_rows(scenes, figure_5, second, onboard_rate(), in_firmware)
 tables = [
     verdict_table(POLYMERGE, verdicts),
     polymerge.sizes_table(scenes),
@@ -127,6 +129,7 @@ tables = [
     polymerge.curve_table(scenes),
     *([figure_5_table(figure_5)] if figure_5 else []),
     *([table_2(second)] if second else []),
+    *([table_2_in_firmware(in_firmware)] if in_firmware else []),
 ]
 files = sorted(path for name in names for path in folder.glob(f"{name}.*.npz"))
 for drawn in figures:

@@ -228,12 +228,18 @@ def table_2(folder: Path, name: str, trials: int, seed: int, counts: list[int]) 
     ]
 
 
-what, folder, name = sys.argv[1], Path(sys.argv[2]), sys.argv[3]
-if what == "figure-5":
-    flights = figure_5(folder, name, float(sys.argv[4]), int(sys.argv[5]), int(sys.argv[6]))
-else:
-    flights = table_2(folder, name, int(sys.argv[4]), int(sys.argv[5]), [int(n) for n in sys.argv[6:]])
-records = [dataclasses.asdict(f) for f in flights]
-write_text(folder / f"{name}.{what}.json", json.dumps(records, indent=1) + "\n")
-for f in flights:
-    print(f"{name}, {what}, {f.method}: {sum(f.succeeded)} of {len(f.reached)} succeed")
+def main() -> None:
+    """Fly what the arguments name."""
+    what, folder, name = sys.argv[1], Path(sys.argv[2]), sys.argv[3]
+    if what == "figure-5":
+        flights = figure_5(folder, name, float(sys.argv[4]), int(sys.argv[5]), int(sys.argv[6]))
+    else:
+        flights = table_2(folder, name, int(sys.argv[4]), int(sys.argv[5]), [int(n) for n in sys.argv[6:]])
+    records = [dataclasses.asdict(f) for f in flights]
+    write_text(folder / f"{name}.{what}.json", json.dumps(records, indent=1) + "\n")
+    for f in flights:
+        print(f"{name}, {what}, {f.method}: {sum(f.succeeded)} of {len(f.reached)} succeed")
+
+
+if __name__ == "__main__":
+    main()

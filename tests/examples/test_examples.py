@@ -200,7 +200,7 @@ def test_polymerge_sets_our_maps_beside_the_published_ones(tmp_path):
     folder = tmp_path / "polymerge"
     shutil.copytree(EXAMPLES / "polymerge", folder, ignore=shutil.ignore_patterns("out"))
     words = [f"PYTHON={sys.executable} -P", "VOXEL=0.15", "COUNTS=10 30", "FLIGHTS=10 30", "HULLS=40"]
-    words += ["TRIALS=2", "COACD=", "ALULA_DATA=", "PAGE=page.md", "-j2"]
+    words += ["TRIALS=2", "COACD=", "ALULA_DATA=", "ALULA_CRAZYFLIE=", "PAGE=page.md", "-j2"]
     done = make(folder, *words)
     assert commands_in(done).count("merge") == 6
     assert "- room: " in done.stdout

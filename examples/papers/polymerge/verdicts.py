@@ -34,6 +34,7 @@ def verdict_rows(
     figure_5: Sequence[Flights],
     table_2: Sequence[Flights],
     onboard_hz: float | None,
+    in_firmware: Sequence[Flights] = (),
 ) -> list[Measured]:
     """List the rows in the order of the paper.
 
@@ -42,6 +43,7 @@ def verdict_rows(
         figure_5: flights of every method in each scene.
         table_2: flights over the number of hulls.
         onboard_hz: rate of the filter with 150 hulls on an emulated Cortex-M4 of 168 MHz; None: not measured.
+        in_firmware: flights over the number of hulls by the app in the Crazyflie's firmware.
     """
     rows = [
         settings(POLYMERGE, "kappa", [PolytopeCbfParameters().kappa_per_m]),
@@ -59,9 +61,19 @@ def verdict_rows(
         *rows,
         *_figure_3(table_2),
         *_table_2(table_2),
+        *_by_hulls(in_firmware, "crazyflie", "table-2-crazyflie"),
         *_rates(onboard_hz),
         *stated(POLYMERGE, "figures-1-2", "figure-3/photograph", "voxels", "sub-cover", "merging", "finer"),
-        *stated(POLYMERGE, "simulation", "clf", "crazyflie", "scenes/nine", "sugar", "theorem-1", "floaters"),
+        *stated(
+            POLYMERGE,
+            "simulation",
+            "clf",
+            "crazyflie/hardware",
+            "scenes/nine",
+            "sugar",
+            "theorem-1",
+            "floaters",
+        ),
     ]
 
 
@@ -277,19 +289,20 @@ def _figure_3(table_2: Sequence[Flights]) -> list[Measured]:
     ]
 
 
-def _table_2(table_2: Sequence[Flights]) -> list[Measured]:
+def _by_hulls(flown: Sequence[Flights], claim: str, what: str) -> list[Measured]:
+    """Success and minimum distance by the number of hulls, of the rows of a claim."""
     rows = []
     for n, _, success, _ in POLYMERGE_FLIGHTS:
-        f = next((f for f in table_2 if f.hulls is not None and 0.9 * n <= f.hulls <= n), None)
+        f = next((f for f in flown if f.hulls is not None and 0.9 * n <= f.hulls <= n), None)
         if f is None:
             continue
         low, high = published_interval(success)
-        found, made_of = f.success, _files("table-2", f)
+        found, made_of = f.success, _files(what, f)
         is_within = found.value is not None and low <= found.value / 100 <= high
         counts = {"inside": sum(f.inside), "collided": sum(f.collided), "outside": f.collided_outside}
         rows += [
             measured(
-                f"table-2/{n}/success",
+                f"{claim}/{n}/success",
                 holds(is_within, "not comparable"),
                 made_of,
                 found,
@@ -298,7 +311,7 @@ def _table_2(table_2: Sequence[Flights]) -> list[Measured]:
                 **counts,
             ),
             measured(
-                f"table-2/{n}/distance",
+                f"{claim}/{n}/distance",
                 "bounded" if f.collided_outside == 0 else "refuted",
                 made_of,
                 ellipsoids_m=nearest(f, f.distance_m),
@@ -308,6 +321,11 @@ def _table_2(table_2: Sequence[Flights]) -> list[Measured]:
                 radius_m=f.radius_m,
             ),
         ]
+    return rows
+
+
+def _table_2(table_2: Sequence[Flights]) -> list[Measured]:
+    rows = _by_hulls(table_2, "table-2", "table-2")
     if len(table_2) > 1:
         first, last = (nearest(f, f.map_distance_m or f.distance_m) for f in (table_2[0], table_2[-1]))
         falls = first is not None and last is not None and first > last

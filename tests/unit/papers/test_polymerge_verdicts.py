@@ -20,6 +20,7 @@ from papers.polymerge.flights import (
     from_record,
     path_ratio,
     table_2,
+    table_2_in_firmware,
 )
 from papers.polymerge.verdicts import verdict_rows
 from papers.verdicts import verdict_table
@@ -47,8 +48,8 @@ def flights(method=OURS, *, hulls=300, good=10, close=0, n=10, path=2.0, us=1.0,
     )
 
 
-def rows_of(figure_5=(), table=(), item=None, scenes=(ROOM, TREE), hz=None):
-    found = said(POLYMERGE, verdict_rows(list(scenes), list(figure_5), list(table), hz))
+def rows_of(figure_5=(), table=(), item=None, scenes=(ROOM, TREE), hz=None, firmware=()):
+    found = said(POLYMERGE, verdict_rows(list(scenes), list(figure_5), list(table), hz, list(firmware)))
     return [row for row in found if item is None or row.item == item]
 
 
@@ -142,6 +143,18 @@ def test_a_collision_from_inside_a_hull_is_counted_but_refutes_nothing():
     assert row.ours == "0.2 to the ellipsoids"
     (row,) = (r for r in rows if r.quantity.startswith("success with 150"))
     assert "3 collided, 0 of them from outside the map" in row.why
+
+
+def test_flights_in_the_firmware_have_rows_of_their_own_beside_those_in_simulation():
+    flown = dataclasses.replace(flights(hulls=29, good=6, close=1), radius_m=0.075)
+    rows = rows_of(table=[flights(hulls=30)], firmware=[flights(hulls=10, good=3), flown])
+    found = {row.quantity: row for row in rows if row.item == "Table II, on the Crazyflie"}
+    assert [row.verdict for row in found.values()] == ["not comparable", "bounded", "reproduced", "refuted"]
+    assert found["success with 30 hulls, by the app in its firmware [%]"].ours == "50"
+    assert "1 touched" in found["success with 30 hulls, by the app in its firmware [%]"].why
+    assert all(row.found.runs == ["room.table-2-crazyflie.json"] for row in found.values())
+    named = [row[:4] for row in table_2_in_firmware([flown]).rows]
+    assert named == [(29, 100.0, 0.8, 0.253)]
 
 
 def test_a_baseline_that_did_not_finish_is_a_row_that_says_so():
