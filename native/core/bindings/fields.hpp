@@ -12,6 +12,7 @@
 
 #include <array>
 #include <cmath>
+#include <cstddef>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -158,86 +159,82 @@ std::string code_of(const M& value) {
   }
 }
 
+// How members of one type are read and written from Python: functions of the member's address.
+struct Conversion {
+  std::string (*type)();
+  void (*assign)(void* member, nb::handle value);
+  nb::object (*out)(const void* member);
+  std::string (*code)(const void* member);
+  double (*number)(const void* member);  // null if it is none
+};
+
+template <class M>
+inline constexpr Conversion conversion{
+    &Python<M>::type, [](void* member, nb::handle value) { *static_cast<M*>(member) = Python<M>::from(value); },
+    [](const void* member) { return nb::cast(Python<M>::out(*static_cast<const M*>(member))); },
+    [](const void* member) { return code_of(*static_cast<const M*>(member)); },
+    [] {
+      double (*number)(const void*) = nullptr;
+      if constexpr (std::is_arithmetic_v<M>)
+        number = [](const void* member) { return static_cast<double>(*static_cast<const M*>(member)); };
+      return number;
+    }()};
+
+// A field of a struct, at `offset` bytes from its begin. What follows is compiled once, not for each struct.
+struct Entry {
+  std::string name;
+  const char* doc;
+  Limits limits;
+  bool is_required;
+  std::size_t offset;
+  const Conversion* as;
+};
+using Entries = std::vector<Entry>;
+
+// Those of T, made at the first call from any object of it.
+template <class T>
+const Entries& entries_of(const T& object) {
+  static const Entries all = [&object] {
+    Entries list;
+    each_field<T>(object, [&]<class M>(const std::string& name, const auto& field, const M& value) {
+      const auto offset = reinterpret_cast<const char*>(&value) - reinterpret_cast<const char*>(&object);
+      list.push_back(
+          {name, field.doc, field.limits, field.is_required, static_cast<std::size_t>(offset), &conversion<M>});
+    });
+    return list;
+  }();
+  return all;
+}
+
+std::string signature(const Entries& entries, const void* object, const std::string& prefix, const std::string& name,
+                      const std::string& result, const std::string& others);
+std::string documentation(const Entries& entries, const std::string& head);
+std::string attribute_signature(const Entry& entry);
+void assign(const Entries& entries, void* object, const nb::kwargs& given, const std::string& what);
+
 // `def NAME(PREFIX, *, field: type = default, ..., OTHERS) -> RESULT`, with the defaults of `object`.
 template <class T>
 std::string signature(const T& object, const std::string& prefix = "self", const std::string& name = "__init__",
                       const std::string& result = "None", const std::string& others = {}) {
-  std::string text = "def " + name + "(" + prefix + ", *";
-  each_field<T>(object, [&](const std::string& field_name, const auto& field, const auto& value) {
-    text += ", " + field_name + ": " + Python<std::remove_cvref_t<decltype(value)>>::type();
-    if (!field.is_required) text += " = " + code_of(value);
-  });
-  return text + (others.empty() ? "" : ", ") + others + ") -> " + result;
+  return signature(entries_of(object), &object, prefix, name, result, others);
 }
 
 // "Args:" and a line for each field that has documentation.
 template <class T>
 std::string documentation(const T& object, const std::string& head = {}) {
-  std::string lines;
-  each_field<T>(object, [&](const std::string& name, const auto& field, const auto&) {
-    if (*field.doc != '\0') lines += "\n    " + name + ": " + field.doc;
-  });
-  if (lines.empty()) return head;
-  return head + (head.empty() ? "Args:" : "\n\nArgs:") + lines;
+  return documentation(entries_of(object), head);
 }
 
 // Sets the fields given by name.
 template <class T>
 void assign(T& object, const nb::kwargs& given, const std::string& what) {
-  std::size_t used = 0;
-  std::string known;
-  each_field<T>(object, [&](const std::string& name, const auto& field, auto& value) {
-    using M = std::remove_cvref_t<decltype(value)>;
-    known += (known.empty() ? "" : ", ") + name;
-    if (!given.contains(name.c_str())) {
-      if (field.is_required) throw nb::type_error((what + " needs " + name).c_str());
-      return;
-    }
-    ++used;
-    const nb::object from = given[name.c_str()];
-    try {
-      value = Python<M>::from(from);
-    } catch (const nb::cast_error&) {
-      const auto shown = nb::cast<std::string>(nb::repr(from));
-      throw nb::type_error((what + ": " + name + " must be " + Python<M>::type() + ", not " + shown).c_str());
-    } catch (const std::invalid_argument& error) {
-      throw std::invalid_argument(name + " " + error.what());
-    }
-    if constexpr (std::is_arithmetic_v<M>) check_limits(name, field.limits, static_cast<double>(value));
-  });
-  if (used == given.size()) return;
-  for (const auto& [key, value] : given) {
-    const auto name = nb::cast<std::string>(key);
-    bool is_known = false;
-    each_field<T>(object, [&](const std::string& other, const auto&, const auto&) { is_known |= name == other; });
-    if (!is_known) throw nb::type_error((what + " has no " + name + "; it has " + known).c_str());
-  }
+  assign(entries_of(object), &object, given, what);
 }
 
 // Applies the struct's own `check`, beyond the limits of its fields.
 template <class T>
 void require_valid(const T& object) {
   if constexpr (requires { check(object); }) check(object);
-}
-
-// Adds attributes to `Class` for all fields of T, which is located by `path`; their names are those of the arguments.
-template <class T, class Class, class Path>
-void add_attributes(Class& bound, Path path, const std::string& prefix = {}) {
-  using Root = typename Class::Type;
-  const auto one = [&]<class Entry>(const Entry& entry) {
-    const auto member = entry.member;
-    const auto inner = [path, member](const Root& root) -> decltype(auto) { return (path(root).*member); };
-    using M = std::remove_cvref_t<decltype(inner(std::declval<const Root&>()))>;
-    if constexpr (requires { entry.prefix; }) {
-      add_attributes<M>(bound, inner, prefix + entry.prefix);
-    } else {
-      using Out = std::remove_cvref_t<decltype(Python<M>::out(std::declval<const M&>()))>;
-      bound.def_prop_ro((prefix + entry.name).c_str(),
-                        [inner](const Root& root) -> Out { return Python<M>::out(inner(root)); },
-                        *entry.doc == '\0' ? nullptr : entry.doc);
-    }
-  };
-  std::apply([&](const auto&... entry) { (one(entry), ...); }, Fields<T>::all);
 }
 
 // Binds an option struct: its constructor and read-only attributes.
@@ -254,7 +251,12 @@ nb::class_<T> bind(nb::module_& m, const char* name, const char* doc) {
         new (self) T(std::move(object));
       },
       nb::sig(signature(plain).c_str()), documentation(plain).c_str());
-  add_attributes<T>(bound, [](const T& object) -> const T& { return object; });
+  for (const Entry& entry : entries_of(plain)) {
+    bound.def_prop_ro(
+        entry.name.c_str(),
+        [&entry](const T& self) { return entry.as->out(reinterpret_cast<const char*>(&self) + entry.offset); },
+        nb::sig(attribute_signature(entry).c_str()), *entry.doc == '\0' ? nullptr : entry.doc);
+  }
   return bound;
 }
 
