@@ -17,7 +17,7 @@ UNTHREADED := dr_acbf geofence links map minimum_time moving_world plant polytop
   rates stack stack_flight teensy teensy_flight tiles tracker wall_planes wrench_filters
 
 # Smoke tests of the wheel: every command once, its artifacts, streams and exit codes.
-WHEEL_TESTS := tests/command/test_conduct.py tests/command/test_info.py tests/unit/schemas/test_artifact.py
+WHEEL_TESTS := tests/command/program/test_conduct.py tests/command/results/test_info.py tests/unit/schemas/test_artifact.py
 
 # Compilers are called through ccache where it is installed.
 ifneq ($(shell command -v ccache),)

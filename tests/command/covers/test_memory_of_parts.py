@@ -4,7 +4,7 @@ import sys
 
 import numpy as np
 import pytest
-from command.test_memory_bounds import peak
+from command.covers.test_memory_bounds import peak
 
 from alula.schemas.artifacts.parts import open_parts
 from alula.stages.compression.verify_cubes import CELL_ELLIPSOIDS

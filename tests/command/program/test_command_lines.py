@@ -27,7 +27,7 @@ PARSED = (
     (r"^alula demo$", "runs the example of the room; tests/examples does"),
     (r"^alula view (?!.* -o )", "serves a browser until it is stopped"),
     (r"^alula doctor", "is about the machine"),
-    (r"^alula verify city.cover", "needs a cover in parts; tests/command/test_city.py proves one"),
+    (r"^alula verify city.cover", "needs a cover in parts; tests/command/covers/test_city.py proves one"),
     (r"^alula import-splat (-|https:)", "reads a stream, or from another machine"),
 )
 HELP = "docs/guide/commands.md"  # the examples of the help: parsed
