@@ -1,6 +1,7 @@
 #include "alula_chord.h"
 
 #include "polytope_walk.h"
+#include "sorted.h"
 #include "vector.h"
 
 #define LONGEST_LAG_S 5.0F
@@ -118,14 +119,10 @@ static void add(alula_chord* chord, const float normal[3], float bound, float sp
     if (last < *left) *left = last;
     --chord->count;
   }
-  uint32_t at = chord->count++;
-  for (; at > 0U && spare < chord->spare[at - 1U]; --at) {
-    chord->row[at] = chord->row[at - 1U];
-    chord->spare[at] = chord->spare[at - 1U];
-  }
+  const uint32_t at = insert_sorted(chord->spare, chord->count, spare);
+  for (uint32_t i = chord->count++; i > at; --i) chord->row[i] = chord->row[i - 1U];
   for (int i = 0; i < 3; ++i) chord->row[at].normal[i] = normal[i];
   chord->row[at].bound = bound;
-  chord->spare[at] = spare;
 }
 
 /* The row of a hull; 0 for one without a direction. */

@@ -1,5 +1,6 @@
 /* Chooses the planes of hulls and of the fence that limit the speed of a vehicle the most. */
 #include "polytope_walk.h"
+#include "sorted.h"
 #include "stack_walls.h"
 
 #define ROUNDING 1.0e-5F    /* more than the relative rounding of the sums and roots below */
@@ -64,14 +65,10 @@ static void consider(choice* chosen, const float normal[3], float distance) {
     if (chosen->room == 0U || !(spare < chosen->spare[chosen->count - 1U])) return;
     --chosen->count;
   }
-  uint32_t at = chosen->count++;
-  for (; at > 0U && spare < chosen->spare[at - 1U]; --at) {
-    chosen->wall[at] = chosen->wall[at - 1U];
-    chosen->spare[at] = chosen->spare[at - 1U];
-  }
+  const uint32_t at = insert_sorted(chosen->spare, chosen->count, spare);
+  for (uint32_t i = chosen->count++; i > at; --i) chosen->wall[i] = chosen->wall[i - 1U];
   for (int k = 0; k < 3; ++k) chosen->wall[at].normal[k] = normal[k];
   chosen->wall[at].distance_m = distance;
-  chosen->spare[at] = spare;
   if (chosen->count == chosen->room) shorten_reach(chosen);
 }
 
