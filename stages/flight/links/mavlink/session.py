@@ -236,6 +236,8 @@ class Session:
                 self.heard_s = now_s
             if packet.message is not None:
                 self._take(packet.message, now_s)
+        if self._peer is None and self.signer is not None and self.signer.has_heard_late:
+            self._transport.use(peer)  # a vehicle without a clock takes the time of a signed heartbeat
 
     def _is_of_vehicle(self, packet: Packet) -> bool:
         if packet.component != AUTOPILOT_COMPONENT or packet.system == 0:

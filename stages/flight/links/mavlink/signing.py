@@ -48,6 +48,9 @@ class Signer:
         wall_clock: time since 1970 [s], read once; `clock` continues from there.
         link: number of this link, so that several may share a key.
 
+    Attributes:
+        has_heard_late: whether a frame had a right signature and a time stamp that is too old.
+
     Raises:
         LinkError: the file cannot be read or written, or the key does not have 32 bytes.
     """
@@ -69,7 +72,7 @@ class Signer:
         today = round((wall_clock() - _EPOCH_S) * _UNITS_PER_S)
         if not 0 <= max(kept, today) < _LARGEST_STAMP:
             raise LinkError("the time of day is before 2015 or far beyond: no packet can be signed")
-        self._is_new = False
+        self._is_new = self.has_heard_late = False
         self._zero = today - round(clock() * _UNITS_PER_S)
         self._last = max(kept, today)
         self._before = kept - _KEPT_AHEAD  # earlier runs came this far, whatever the present time of day is
@@ -101,9 +104,12 @@ class Signer:
         stream = (system, component, link)
         before = self._streams.get(stream)
         if before is None:
-            if stamp < max(self._now(), self._before) - _LATE or len(self._streams) >= _MAX_STREAMS:
+            is_late = stamp < max(self._now(), self._before) - _LATE
+            if is_late or len(self._streams) >= _MAX_STREAMS:
+                self.has_heard_late |= is_late
                 return False
         elif stamp <= before:
+            self.has_heard_late = True
             return False
         self._streams[stream] = stamp
         self._is_new = self._is_new or before is None

@@ -13,12 +13,15 @@ import pytest
 
 from alula.schemas.artifacts.signing_key import read_key
 from alula.schemas.errors import InputError, LinkError
+from alula.stages.flight.links.addresses import parse_address
+from alula.stages.flight.links.mavlink.session import Session
 from alula.stages.flight.links.mavlink.signing import Signer
 from alula.stages.flight.links.mavlink.wire import Wire
 from alula.stages.flight.links.open_link import open_link
 from alula.stages.flight.links.options import LinkOptions
 from alula.stages.flight.links.protocol import Order
 from support.mavlink_peer import ARDUPILOT, Peer, Time, m, said, vehicle
+from support.sim_vehicle_process import free_port
 
 KEY = bytes(range(32))
 
@@ -159,6 +162,28 @@ def test_a_signed_conversation_from_end_to_end(tmp_path):
         assert said(link) == before
         peer.mav.signing.sign_outgoing = True
     assert int((tmp_path / "stamp").read_text().split()[0]) > 0
+
+
+def test_a_vehicle_without_a_clock_is_told_the_time_before_it_is_believed(tmp_path):
+    """The time stamps of PX4 begin at the one that was stored with its key, which may be years old."""
+    port, taken = free_port(), []
+    options = LinkOptions(key=KEY, signing_file=tmp_path / "stamp", wall_clock=lambda: 1.8e9)
+    session = Session(parse_address(f"udpin:127.0.0.1:{port}"), options, lambda *each: taken.append(each))
+    session.open(1.0)
+    mav = m.MAVLink(None, 1, 1)
+    mav.signing.secret_key, mav.signing.sign_outgoing = KEY, True
+    beat = m.MAVLink_heartbeat_message(2, m.MAV_AUTOPILOT_PX4, 81, 0, 3, 3)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
+        line.settimeout(1.0)
+        line.sendto(bytes(beat.pack(mav)), ("127.0.0.1", port))
+        session.poll(0.0)
+        assert not taken
+        assert mav.parse_buffer(line.recv(4096))[0].get_type() == "HEARTBEAT"
+        line.sendto(bytes(beat.pack(mav)), ("127.0.0.1", port))
+        session.poll(0.1)
+    assert session.vehicle == 1
+    assert len(taken) == 1
+    session.close()
 
 
 @pytest.mark.parametrize(
