@@ -24,6 +24,8 @@ MOCAP = {"EKF2_EV_CTRL": 15, "EKF2_GPS_CTRL": 0, "EKF2_HGT_REF": 3, "EKF2_EV_DEL
 INDOORS = {"COM_RC_IN_MODE": 4, "COM_LOW_BAT_ACT": 2}
 # UDP ports of instance 0: it has one and sends to the others
 _OWN, _COMPANION, _OTHER, _TRUTH = 14580, 14540, 14030, 19410
+_PAYLOAD = 14280  # where it listens for another station
+_STATION = 254
 _INSTANCES = 10
 _EARTH_M = 6378100.0
 
@@ -41,13 +43,24 @@ def program():
     return path
 
 
+def _bound(port):
+    """A socket that holds a UDP port."""
+    line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        line.bind(("127.0.0.1", port))
+    except OSError:
+        line.close()
+        raise
+    line.settimeout(0.5)
+    return line
+
+
 def _free_instance():
+    """Number of an instance whose ports are free, and the sockets of the truth and of another station."""
     for number in range(_INSTANCES):
-        with suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            probe.bind(("127.0.0.1", _OWN + number))
-            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
-                other.bind(("127.0.0.1", _COMPANION + number))
-                return number
+        with suppress(OSError), _bound(_OWN + number), _bound(_COMPANION + number):
+            truth = _bound(_TRUTH + number)  # holds the number from now on
+            return number, (truth, _bound(_OTHER + number))
     pytest.fail("no ports are free")
 
 
@@ -58,28 +71,27 @@ class Px4:
         port: where it sends, for `alula fly`.
         truth: true motion: time of this machine [s]; east, north, up from the start [m].
         flags: time of this machine [s] and flags of each ESTIMATOR_STATUS.
+        modes: time of this machine [s], main and sub mode of each heartbeat.
         mocap_port: port that the true motion is sent to, as motion capture for `alula fly --mocap`.
     """
 
-    def __init__(self, instance):
+    def __init__(self, instance, lines):
         self.port = _COMPANION + instance
         self._instance = instance
         self.mocap_port = free_port()
         self._line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.truth, self.flags = [], []
+        self.truth, self.flags, self.modes = [], [], []
         self._home = None
         self._lives = True
-        ports = (_TRUTH + instance, _OTHER + instance)
-        self._threads = [threading.Thread(target=self._read, args=(port,), daemon=True) for port in ports]
+        self._writer = mavlink.MAVLink(None, _STATION, 190)
+        self._threads = [threading.Thread(target=self._read, args=(each,), daemon=True) for each in lines]
         for each in self._threads:
             each.start()
 
-    def _read(self, port):
+    def _read(self, line):
         parser = mavlink.MAVLink(None)
         parser.robust_parsing = True
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
-            line.bind(("127.0.0.1", port))
-            line.settimeout(0.5)
+        with line:
             while self._lives:
                 with suppress(TimeoutError):
                     for message in parser.parse_buffer(line.recv(4096)) or []:
@@ -89,6 +101,8 @@ class Px4:
         now = time.monotonic()
         if message.get_type() == "ESTIMATOR_STATUS":
             self.flags.append((now, message.flags))
+        elif message.get_type() == "HEARTBEAT" and message.get_srcComponent() == 1:
+            self.modes.append((now, message.custom_mode >> 16 & 0xFF, message.custom_mode >> 24))
         elif message.get_type() == "HIL_STATE_QUATERNION":
             lat, lon, alt = message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3
             self._home = self._home or (lat, lon, alt)
@@ -98,7 +112,7 @@ class Px4:
             w, x, y, z = message.attitude_quaternion  # from north-east-down to forward-right-down
             half = math.sqrt(0.5)  # to east-north-up and forward-left-up
             sample = {
-                "time_s": message.time_usec * 1e-6,
+                "time_s": now,  # cameras have a clock of their own
                 "position_m": self.truth[-1][1:],
                 "attitude_wxyz": [half * (w + z), half * (x + y), half * (x - y), half * (w - z)],
                 "velocity_m_s": [message.vy * 1e-2, message.vx * 1e-2, -message.vz * 1e-2],
@@ -111,6 +125,36 @@ class Px4:
             command = [program().parent / "px4-param", "--instance", str(self._instance)]
             subprocess.run([*command, "set", name, str(value)], check=True, capture_output=True, timeout=10)
 
+    def send(self, message):
+        """Send a message as another station."""
+        self._line.sendto(message.pack(self._writer), ("127.0.0.1", _PAYLOAD + self._instance))
+
+    def mode(self, main, sub=0):
+        """Order a mode as another station."""
+        values = (1.0, float(main), float(sub), *[0.0] * 4)
+        self.send(
+            mavlink.MAVLink_command_long_message(
+                self._instance + 1, 1, mavlink.MAV_CMD_DO_SET_MODE, 0, *values
+            )
+        )
+
+    @contextmanager
+    def sticks(self):
+        """A pilot with centred sticks, until the end."""
+        ended = threading.Event()
+
+        def hold():
+            while not ended.wait(0.05):
+                self.send(mavlink.MAVLink_manual_control_message(self._instance + 1, 0, 0, 500, 0, 0))
+
+        thread = threading.Thread(target=hold, daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            thread.join(5)
+
     def close(self):
         """Stop reading."""
         self._lives = False
@@ -120,16 +164,18 @@ class Px4:
 
 
 @contextmanager
-def px4(folder, parameters=None, *, start=INDOORS):
-    """A running simulation in a folder of its own."""
+def px4(folder, parameters=None, *, start=INDOORS, key=None):
+    """A running simulation in a folder of its own, with a key of 32 bytes for signatures."""
     path = program()
-    instance = _free_instance()
+    instance, lines = _free_instance()
     work = folder / "px4"
-    work.mkdir()
+    (work / "mavlink").mkdir(parents=True)
+    if key is not None:  # and the time stamp
+        (work / "mavlink/mavlink-signing-key.bin").write_bytes(key + bytes(8))
     values = {f"PX4_PARAM_{name}": str(value) for name, value in (start | (parameters or {})).items()}
     words = [path, "-d", "-i", str(instance), "-w", work, path.parents[1] / "etc"]
     environment = os.environ | {"PX4_SIM_MODEL": "sihsim_quadx"} | values
-    running = Px4(instance)
+    running = Px4(instance, lines)
     with (
         (folder / "px4.txt").open("wb") as log,
         subprocess.Popen(words, cwd=work, env=environment, stdout=log, stderr=log) as process,

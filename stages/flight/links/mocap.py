@@ -50,7 +50,7 @@ class MocapSample(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Mocap:
-    """Receiver of motion capture that makes VISION_POSITION_ESTIMATE and VISION_SPEED_ESTIMATE at 50 Hz.
+    """Receiver of motion capture that makes VISION_POSITION_ and VISION_SPEED_ESTIMATE, or ODOMETRY: 50 Hz.
 
     It sends them while samples arrive. It drops a sample that is not finite, out of range, without a unit
     attitude, late or repeated. The sender of the first good sample is the only one until it has been silent
@@ -107,11 +107,12 @@ class Mocap:
         """Return whether the newest sample is at most 0.15 s old, counting from the smallest delay so far."""
         return now_s - self._arrival_s <= STALE_S
 
-    def poll(self, now_s: float, start_s: float) -> list[Any]:
+    def poll(self, now_s: float, start_s: float, *, as_odometry: bool = False) -> list[Any]:
         """Receive datagrams and return the messages that are due.
 
         Args:
             start_s: zero of the time stamps in the messages, same clock [s].
+            as_odometry: whether to make ODOMETRY.
         """
         self.take_all(now_s)
         if now_s < self._next_s or not self._recent or self._arrival_s <= self._sent_s:
@@ -119,7 +120,9 @@ class Mocap:
         behind = now_s - self._next_s
         self._next_s = now_s + _PERIOD_S if behind > _PERIOD_S else self._next_s + _PERIOD_S
         self._sent_s = self._arrival_s
-        return self._messages(round((self._arrival_s - start_s) * 1e6)) if self.is_fresh(now_s) else []
+        if not self.is_fresh(now_s):
+            return []
+        return self._messages(max(round((self._arrival_s - start_s) * 1e6), 0), as_odometry)
 
     def take_all(self, now_s: float) -> None:
         """Receive the waiting datagrams, at most 64 in one call."""
@@ -176,13 +179,23 @@ class Mocap:
         )
         return sample if is_good else None
 
-    def _messages(self, time_us: int) -> list[Any]:
+    def _messages(self, stamp: int, as_odometry: bool = False) -> list[Any]:
         sample = self._recent[-1][1]
         position = self._frame.position_to_ned(np.array(sample.position_m))
         quat = np.array(sample.attitude_wxyz)
-        euler = euler_from_quat(self._frame.attitude_to_ned(quat / np.linalg.norm(quat)))
+        attitude = self._frame.attitude_to_ned(quat / np.linalg.norm(quat))
         velocity = self._frame.vector_to_ned(self._velocity(sample))
-        stamp = max(time_us, 0)
+        if as_odometry:
+            unknown = [math.nan] + [0.0] * 20
+            return [
+                dialect.MAVLink_odometry_message(
+                    *(stamp, dialect.MAV_FRAME_LOCAL_NED, dialect.MAV_FRAME_LOCAL_NED),
+                    *(*position.tolist(), attitude.tolist(), *velocity.tolist()),
+                    *(math.nan, math.nan, math.nan, unknown, unknown),
+                    *(self._resets, dialect.MAV_ESTIMATOR_TYPE_VISION),  # EKF2 does not take MOCAP
+                )
+            ]
+        euler = euler_from_quat(attitude)
         return [
             dialect.MAVLink_vision_position_estimate_message(
                 stamp, *position.tolist(), *euler, reset_counter=self._resets

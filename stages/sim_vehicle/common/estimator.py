@@ -93,6 +93,7 @@ class Estimator:
         are_satellites_lost: fault: the receiver has no fix.
         fix_s: time since boot of the newest fix of satellites [s]; None before the first.
         origin: latitude, longitude [deg] and altitude [m] of the local frame; None before it is set.
+        needs_origin: whether external positions are used with an origin only.
     """
 
     def __init__(
@@ -125,6 +126,7 @@ class Estimator:
         self.are_satellites_lost = False
         self.fix_s: float | None = None
         self.origin: LatLonAlt | None = None
+        self.needs_origin = True
         self.motion = start
         self.is_settled = False
         parameters.follow(self._tune)
@@ -301,7 +303,7 @@ class Estimator:
             self.fix_s = self._time_s
         if self.uses_mocap:
             alive = self._vision_s is not None and self._time_s - self._vision_s <= MOCAP_LOST_S
-            usable = alive and self.origin is not None
+            usable = alive and (self.origin is not None or not self.needs_origin)
             wait_s = _MOCAP_SETTLE * self._options.boot_time_s
         else:
             usable = self.fix_s is not None and self._time_s - self.fix_s <= SATELLITES_LOST_S

@@ -15,7 +15,7 @@ from alula.stages.sim_vehicle.common.copter import CRITICAL, Copter
 from alula.stages.sim_vehicle.common.estimator import is_location
 from alula.stages.sim_vehicle.common.packets import Codec, Message, mavlink
 from alula.stages.sim_vehicle.common.parameters import ParamType
-from alula.stages.sim_vehicle.common.quaternions import conjugate, rotate
+from alula.stages.sim_vehicle.common.quaternions import conjugate, rotate, to_euler
 from alula.stages.sim_vehicle.px4.modes import ROWS, Px4Mode, custom_mode
 from alula.stages.sim_vehicle.px4.vehicle import Px4Copter
 
@@ -189,12 +189,23 @@ class Px4Dialogue(Dialogue):
     def __init__(self, copter: Copter, telemetry: Telemetry, codec: Codec, time_10us: int = 0) -> None:
         super().__init__(copter, telemetry, codec, time_10us)
         self._px4 = cast(Px4Copter, copter)
-        del self._table["REQUEST_DATA_STREAM"]
+        for name in ("REQUEST_DATA_STREAM", "VISION_SPEED_ESTIMATE"):
+            del self._table[name]
+        self._table["ODOMETRY"] = self._odometry
 
     def _heartbeat(self, message: Message) -> list[Message]:
         self._px4.note_client()
         if message.type == mavlink.MAV_TYPE_GCS:  # the heartbeat of a companion does not count
             self._px4.note_ground_station(message.get_srcSystem())
+        return []
+
+    def _odometry(self, message: Message) -> list[Message]:
+        """Take an external pose and velocity, both NED; of motion capture it takes none."""
+        if message.estimator_type == mavlink.MAV_ESTIMATOR_TYPE_MOCAP:
+            return []
+        place, velocity = (message.x, message.y, message.z), (message.vx, message.vy, message.vz)
+        self._px4.estimator.vision_position(place, to_euler(tuple(message.q))[2])
+        self._px4.estimator.vision_velocity(velocity)
         return []
 
     def _wire_value(self, name: str) -> float:

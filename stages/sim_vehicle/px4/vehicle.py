@@ -94,6 +94,7 @@ class Px4Copter(Copter):
 
     def _boot(self) -> None:
         self.chosen = self.flown = Px4Mode.HOLD
+        self.estimator.needs_origin = False
         self._lands_from: Px4Mode | None = None  # mode in which its landing was chosen
         self._setpoint_s = self._stream_s = -math.inf
         self._since_s: dict[str, float] = {}  # when each cause of a failsafe began

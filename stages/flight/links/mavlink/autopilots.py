@@ -72,7 +72,7 @@ class Autopilot:
         streams_first: whether set-points must arrive before the vehicle enters the control mode.
         takes_off_by_command: whether it takes off by MAV_CMD_NAV_TAKEOFF; otherwise by a position set-point.
         reports_arming: whether SYS_STATUS says, in any mode, if its checks before arming hold.
-        has_odometry: whether it sends ODOMETRY and ESTIMATOR_STATUS.
+        has_odometry: whether it sends ODOMETRY and ESTIMATOR_STATUS, and takes motion capture as ODOMETRY.
         mode_of: function from custom_mode to main mode, sub mode and name.
         custom_of: function from main and sub mode to custom_mode.
     """

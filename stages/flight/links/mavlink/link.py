@@ -428,12 +428,13 @@ class MavlinkLink:
     def _forward_mocap(self, now_s: float) -> None:
         if self._mocap is None:
             return
-        messages = self._mocap.poll(now_s, self._session.start_s)
+        messages = self._mocap.poll(now_s, self._session.start_s, as_odometry=self._autopilot.has_odometry)
         if self._session.vehicle is None:
             return
         for message in messages:
             self._session.send(message)
-        if self._origin is None and now_s - self._origin_s >= _ORIGIN_S:
+        needs_origin = self._autopilot.external_source is not None and self._origin is None
+        if needs_origin and now_s - self._origin_s >= _ORIGIN_S:
             self._origin_s = now_s
             latitude, longitude, height = self._options.origin
             origin = (round(latitude * 1e7), round(longitude * 1e7), round(height * 1e3))

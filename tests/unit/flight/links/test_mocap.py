@@ -80,6 +80,28 @@ def test_samples_are_forwarded_at_50_hz_in_the_vehicles_frame(sender):
         assert not peer.of("VISION_POSITION_ESTIMATE")
 
 
+def test_px4_gets_odometry_and_no_origin(sender):
+    """It takes no VISION_SPEED_ESTIMATE, and an origin moves its estimate by the way from latitude 0."""
+    port = free_port()
+    peer = Peer(autopilot=m.MAV_AUTOPILOT_PX4)
+    peer.parameters["EKF2_EV_CTRL"] = (15.0, m.MAV_PARAM_TYPE_INT32)
+    with vehicle(peer=peer, mocap=f"udp:127.0.0.1:{port}") as (peer, time, link):
+
+        def each():
+            sender.sendto(sample(time() - 900, (1, 2, 3), (1, 0, 0, 0)), ("127.0.0.1", port))
+            peer.send_state((1, 2, 3))
+
+        time.run(link, 2.0, each=each)
+        last = peer.of("ODOMETRY")[-1]
+        assert (last.x, last.y, last.z) == pytest.approx(FRAME.position_to_ned(np.array([1, 2, 3])), abs=1e-5)
+        assert (last.vx, last.vy, last.vz) == pytest.approx((0, 0, 0), abs=1e-5)
+        assert last.frame_id == last.child_frame_id == m.MAV_FRAME_LOCAL_NED
+        assert last.estimator_type == m.MAV_ESTIMATOR_TYPE_VISION
+        assert not peer.of("VISION_POSITION_ESTIMATE")
+        assert not peer.of("VISION_SPEED_ESTIMATE")
+        assert not peer.of("SET_GPS_GLOBAL_ORIGIN")
+
+
 def test_another_sender_is_refused_until_the_first_was_silent_for_two_seconds():
     mocap = Mocap("udp:127.0.0.1:9", FRAME)
     first, other = ("127.0.0.1", 40000), ("127.0.0.1", 40001)
