@@ -15,7 +15,7 @@ from alula.cli.shell import grouped, options
 EXAMPLES = """\b
 Examples:
   alula demo
-  alula demo -o /tmp/room
+  alula demo -o room
 """
 PARTS = ("Makefile", "scenario.toml")
 
