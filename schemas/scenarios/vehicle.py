@@ -74,6 +74,7 @@ Spin = Literal[-1, 1]
 # Gains of the attitude over the inertia J, when a file has none: K_R = this J, K_omega = this J.
 _ATTITUDE_PER_S2 = (500.0, 500.0, 110.0)
 _RATE_PER_S = (36.0, 36.0, 11.0)
+_LOOP_SHARE = 1.5  # the damping of rates times the time constant of the loop that follows them, at most
 
 
 class BodyTable(SparseTable, frozen=True, kw_only=True):
@@ -169,8 +170,9 @@ class TrackingTable(SparseTable, frozen=True, kw_only=True):
     Attributes:
         kp_per_s2: acceleration per position error [1/s^2].
         kv_per_s: acceleration per velocity error [1/s].
-        attitude_n_m: torque per attitude error, body x, y, z [N m]; null: in proportion to the inertia.
-        rate_n_m_s: torque per rate error, body x, y, z [N m s]; null: in proportion to the inertia.
+        attitude_n_m: torque per attitude error, body x, y, z [N m]; null: in proportion to the inertia, and
+            slower than the rate loop.
+        rate_n_m_s: torque per rate error, body x, y, z [N m s]; null: likewise.
         catch_up_m_s: maximum speed beyond the reference's to make up for a position error [m/s].
         max_tilt_rad: maximum tilt of a command [rad].
         max_thrust_share: maximum thrust of a command as a fraction of that of the rotors.
@@ -374,14 +376,20 @@ class Vehicle(SparseTable, frozen=True, kw_only=True):
         return self.velocities or VelocitiesTable()
 
     def attitude_gains(self) -> tuple[Sequence[float], Sequence[float]]:
-        """K_R [N m] and K_omega [N m s] of a quadrotor: the file's, or in proportion to the inertia."""
+        """K_R [N m] and K_omega [N m s] of a quadrotor: the file's, or in proportion to the inertia.
+
+        Attitudes are turned no faster than the rate loop follows: beyond that its commands swing.
+        """
         inertia = self.body.inertia_kg_m2
         assert inertia is not None
-        return (
-            self.tracking.attitude_n_m
-            or tuple(g * j for g, j in zip(_ATTITUDE_PER_S2, inertia, strict=True)),
-            self.tracking.rate_n_m_s or tuple(g * j for g, j in zip(_RATE_PER_S, inertia, strict=True)),
-        )
+        attitude, rate = list[float](), list[float]()
+        for j, turn, damping, lag_s in zip(
+            inertia, _ATTITUDE_PER_S2, _RATE_PER_S, self.rates.axes_s, strict=True
+        ):
+            slower = min(1.0, _LOOP_SHARE / (lag_s * damping))
+            attitude.append(turn * slower**2 * j)
+            rate.append(damping * slower * j)
+        return self.tracking.attitude_n_m or attitude, self.tracking.rate_n_m_s or rate
 
 
 # The vehicle of the FastBridge paper; `examples/vehicles/fastbridge.toml` has the source of each number.

@@ -119,6 +119,11 @@ class Guided:
         ignored |= _POSITION_BITS if self._point is None else 0
         return ignored, self._point or zero, self._velocity, self._acceleration
 
+    @property
+    def flies_rates(self) -> bool:
+        """Return whether the newest set-point is one of body rates."""
+        return self.sub is Sub.ANGLE and self._target is None
+
     def should_leave_ground(self) -> bool:
         """Return whether the set-point commands a vehicle on the ground to leave it."""
         match self.sub:

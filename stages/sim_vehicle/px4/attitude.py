@@ -34,15 +34,15 @@ class Px4AttitudeControl(AttitudeControl):
     Args:
         airframe: gives inertia and maximum thrust.
         parameters: gains, read at every tick.
-        rate_time_s: time constant of the rate loop [s].
+        rate_times_s: time constants of the rate loop about x, y, z [s].
         motor_time_s: lag of the rotors in the plant itself [s].
     """
 
     def __init__(
-        self, airframe: Airframe, parameters: Parameters, rate_time_s: float, motor_time_s: float
+        self, airframe: Airframe, parameters: Parameters, rate_times_s: Vector, motor_time_s: float
     ) -> None:
         super().__init__(airframe, parameters)
-        self._rate_time_s = max(rate_time_s, TICK_S)
+        self._rate_times_s = tuple(max(each, TICK_S) for each in rate_times_s)
         self._throttle_weight = TICK_S / max(_THROTTLE_S - motor_time_s, TICK_S)
 
     def reset(self, attitude: Quat) -> None:
@@ -79,8 +79,8 @@ class Px4AttitudeControl(AttitudeControl):
         i, (p, q, r) = self._inertia, omega
         gyroscopic = (q * r * (i[2] - i[1]), r * p * (i[0] - i[2]), p * q * (i[1] - i[0]))
         x, y, z = (
-            j * (w - o) / self._rate_time_s + g
-            for j, w, o, g in zip(i, target_rates, omega, gyroscopic, strict=True)
+            j * (w - o) / time_s + g
+            for j, w, o, time_s, g in zip(i, target_rates, omega, self._rate_times_s, gyroscopic, strict=True)
         )
         self.throttle += self._throttle_weight * (self.throttle_command - self.throttle)
         return self.throttle * self._max_thrust_n, (x, y, z)

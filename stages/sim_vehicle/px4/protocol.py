@@ -60,6 +60,17 @@ class Px4Telemetry(Telemetry):
     def __init__(self, copter: Copter, epoch_s: float = 0.0) -> None:
         super().__init__(copter, epoch_s)
         self._px4 = cast(Px4Copter, copter)
+        self._last_target = super()._attitude_target()
+
+    def _attitude_target(self) -> Message:
+        """Time, attitude and thrust of the last attitude, however old, and the newest rates."""
+        newest, copter = super()._attitude_target(), self._px4
+        if copter.flown is Px4Mode.OFFBOARD and copter.flying.guided.flies_rates:
+            rates = newest.body_roll_rate, newest.body_pitch_rate, newest.body_yaw_rate
+            last = self._last_target
+            return mavlink.MAVLink_attitude_target_message(last.time_boot_ms, 0, last.q, *rates, last.thrust)
+        self._last_target = newest
+        return newest
 
     def _heartbeat(self) -> Message:
         copter, row = self._px4, ROWS[self._px4.flown]

@@ -107,8 +107,8 @@ class Px4Copter(Copter):
         return vehicle
 
     def _attitude_control(self, vehicle: Vehicle) -> AttitudeControl:
-        rate_s, motor_s = vehicle.rates.tilting_s, vehicle.disturbance.motor_time_constant_s
-        return Px4AttitudeControl(self.airframe, self.parameters, rate_s, motor_s)
+        rates_s, motor_s = vehicle.rates.axes_s, vehicle.disturbance.motor_time_constant_s
+        return Px4AttitudeControl(self.airframe, self.parameters, rates_s, motor_s)
 
     def _parameters(self, values: Mapping[str, float]) -> Parameters:
         return Parameters(values, table=TABLE, derived=DERIVED)

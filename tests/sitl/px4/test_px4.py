@@ -101,6 +101,7 @@ def test_no_filter_touches_anything_with_the_noise_of_its_simulation(tmp_path, n
     here = {"scene": BALLS} if is_scene else {"cover": HULLS}
     made = mission(name, plan=plan, vehicle=read_vehicle(VEHICLE), is_clear=True, **here)
     assert min(float(path_clearance(path, each).min()) for _, each in made.obstacles) > 0.15
+    assert "on the ground below its plan" not in fly.said  # by rates, with a wrong throttle, it sank
     if code == 0:
         assert "plan finished: landing" in fly.said
         assert path[:, 0].max() > 7.0

@@ -110,6 +110,17 @@ def test_attitude_gains_left_open_are_in_proportion_to_the_inertia(tmp_path):
     assert own.k_r == pytest.approx([0.35, 0.35, 0.12])
 
 
+def test_attitude_gains_left_open_are_slower_than_the_rate_loop():
+    """PX4's own simulation, flown by faster ones, swung by 2 rad/s, lost thrust by that, and sank."""
+    vehicle = read_vehicle(VEHICLES / "px4-sih.toml")
+    gains, inertia = tracking_gains(vehicle), np.array(vehicle.body.inertia_kg_m2)
+    damping = np.divide(gains.k_omega, inertia)
+    assert damping * vehicle.rates.axes_s == pytest.approx([1.5, 1.5, 1.5])
+    assert np.divide(gains.k_r, inertia) / damping**2 == pytest.approx(
+        [500 / 36**2, 500 / 36**2, 110 / 11**2]
+    )
+
+
 def replaced(old, new, text=WHOLE):
     assert old in text
     return text.replace(old, new)

@@ -5,12 +5,14 @@ import struct
 
 import pytest
 
+from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.sim_vehicle.common.estimator import EstimatorOptions
 from alula.stages.sim_vehicle.common.faults import Fault
 from alula.stages.sim_vehicle.common.packets import mavlink as m
 from alula.stages.sim_vehicle.px4.modes import Px4Mode
 from alula.stages.sim_vehicle.px4.vehicle import ZURICH, Px4Copter
 from support.autopilot_client import Client
+from support.paths import VEHICLES
 
 REFUSED, ACCEPTED = m.MAV_RESULT_TEMPORARILY_REJECTED, m.MAV_RESULT_ACCEPTED
 VELOCITY, STOP = 0x9C7, 0xDC7
@@ -169,6 +171,29 @@ def test_rates_and_thrust_hover_at_the_hover_throttle():
     # No division by the cosine of the tilt, no climb rates.
     client.stream(0.3, omega=(1.0, 0, 0), thrust=hover)
     assert client.copter.attitude.throttle_command == pytest.approx(hover, rel=1e-6)
+
+
+def test_reported_thrust_stays_that_of_the_last_attitude_while_rates_are_flown():
+    client = Px4Client().offboard()
+    client.interval("ATTITUDE_TARGET", 50)
+    client.velocities(0.2)
+    last = client.last("ATTITUDE_TARGET")
+    client.stream(1.0, omega=(0, 0, 0.4), thrust=0.2)
+    kept = client.last("ATTITUDE_TARGET")
+    assert kept.time_boot_ms - last.time_boot_ms <= 50
+    assert kept.thrust == pytest.approx(client.copter.hover_throttle, rel=0.05)
+    assert kept.body_yaw_rate == pytest.approx(0.4, abs=0.05)
+    client.velocities(0.2)
+    assert client.last("ATTITUDE_TARGET").time_boot_ms > kept.time_boot_ms + 1000
+
+
+def test_each_axis_follows_rates_with_its_own_time_constant():
+    client = Px4Client(vehicle=read_vehicle(VEHICLES / "px4-sih.toml")).offboard()
+    hover = client.copter.parameters["MPC_THR_HOVER"]
+    client.stream(0.14, omega=(0.5, 0, 0.5), thrust=hover)
+    roll, _, yaw = client.truth.omega
+    assert roll > 0.6 * 0.5
+    assert yaw < 0.4 * 0.5
 
 
 @pytest.mark.parametrize(

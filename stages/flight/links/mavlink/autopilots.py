@@ -72,6 +72,8 @@ class Autopilot:
         streams_first: whether set-points must arrive before the vehicle enters the control mode.
         takes_off_by_command: whether it takes off by MAV_CMD_NAV_TAKEOFF; otherwise by a position set-point.
         reports_arming: whether SYS_STATUS says, in any mode, if its checks before arming hold.
+        reports_thrust: whether ATTITUDE_TARGET has the throttle of body rates too; else it repeats that of
+            the last attitude, with its time.
         has_odometry: whether it sends ODOMETRY and ESTIMATOR_STATUS, and takes motion capture as ODOMETRY.
         mode_of: function from custom_mode to main mode, sub mode and name.
         custom_of: function from main and sub mode to custom_mode.
@@ -98,6 +100,7 @@ class Autopilot:
     streams_first: bool
     takes_off_by_command: bool
     reports_arming: bool
+    reports_thrust: bool
     has_odometry: bool
     mode_of: Callable[[int], tuple[int, int, str]]
     custom_of: Callable[[tuple[int, int]], int]
@@ -216,6 +219,7 @@ ARDUPILOT = Autopilot(
     streams_first=False,
     takes_off_by_command=True,
     reports_arming=True,
+    reports_thrust=True,
     has_odometry=False,
     mode_of=_copter_mode,
     custom_of=lambda mode: mode[0],
@@ -254,6 +258,7 @@ PX4 = Autopilot(
     streams_first=True,
     takes_off_by_command=False,
     reports_arming=False,
+    reports_thrust=False,
     has_odometry=True,
     mode_of=_px4_mode,
     custom_of=lambda mode: mode[0] << 16 | mode[1] << 24,

@@ -93,6 +93,7 @@ class MavlinkLink:
         self._orders: Orders | None = None
         self._encoder: SetpointEncoder | None = None
         self._hover: HoverThrottle | None = None
+        self._throttle_ms = -1  # time of the newest throttle that the vehicle reported
         self._stream: Callable[[int], Any] | None = None  # set-point repeated while `send` is not called
         self._ground_m = math.inf  # height at which it stood
         self._stream_since_s = math.inf  # start of the uninterrupted stream
@@ -232,6 +233,12 @@ class MavlinkLink:
         self._stream = None
         self._stream_since_s = math.inf
         self._session.send(message)
+        if (
+            isinstance(setpoint, RatesSetpoint)
+            and self._hover is not None
+            and not self._autopilot.reports_thrust
+        ):
+            self._hover.record(message.thrust, now_s)
 
     def order(self, order: Order, now_s: float, height_m: float = 0.0) -> None:
         """Send a command; `poll` repeats it until it is done, refused or replaced by another command.
@@ -399,7 +406,9 @@ class MavlinkLink:
         elif kind == "AUTOPILOT_VERSION":
             self._version = message
         elif kind == "ATTITUDE_TARGET":
-            if self._hover is not None and math.isfinite(message.thrust):
+            is_new = message.time_boot_ms != self._throttle_ms
+            self._throttle_ms = message.time_boot_ms
+            if self._hover is not None and is_new and math.isfinite(message.thrust):
                 self._hover.record(message.thrust, now_s)
         elif kind == "TIMESYNC":
             self._take_time(message)

@@ -134,3 +134,14 @@ def test_with_motion_capture_alone_px4_arms_and_without_its_parameters_it_is_ref
         assert link.status.armed, (link.status.refusals, link.status.texts)
         time.run(link, 0.35)
         assert time() - link.state.received_s > 0.15
+
+
+def test_the_hover_throttle_of_a_flight_by_rates_is_learnt_from_what_was_sent():
+    """Its ATTITUDE_TARGET keeps the thrust of the last attitude, here that of a climb."""
+    with flight(served=ServedPx4(), flies_rates=True) as (served, time, link):
+        take_off(time, link)
+        up = np.array([0.0, 0.0, 2.0])
+        stream(time, link, 0.4, lambda s: AccelerationSetpoint(up, s.velocity, s.position, 0.0))
+        stream(time, link, 6.0, lambda s: RatesSetpoint(G - 0.6 * s.velocity[2], np.zeros(3)))
+        assert link.hover.newest == pytest.approx(served.copter.attitude.throttle_command, abs=0.01)
+        assert link.hover.value == pytest.approx(served.copter.hover_throttle, rel=0.02)
