@@ -77,6 +77,8 @@ class VehicleStatus:
         battery_share: remaining charge, a fraction from 0 to 1.
         is_estimator_ready: whether its own estimate of position and attitude is good enough to fly.
         estimator: why `is_estimator_ready` is False, in words; may be empty.
+        strayed_m: distance of its position from the way by its satellites' velocities since the take-off; 0
+            where there are none [m].
         without_position: what its position needs and lacks, in words; empty if it reports one, or not known.
         clock: why the age of its states is not known, in words; may be empty.
         is_failsafe: whether one of its own failsafes has triggered, whether it acts or not.
@@ -101,6 +103,7 @@ class VehicleStatus:
     battery_v: float | None = None
     is_estimator_ready: bool | None = None
     estimator: str = ""
+    strayed_m: float = 0.0
     without_position: str = ""
     clock: str = ""
     is_failsafe: bool = False

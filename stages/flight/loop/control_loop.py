@@ -358,6 +358,7 @@ class ControlLoop:
             off_climb_m=self._off_climb_m,
             drift_m=self._drift_m,
             from_goal_m=self._from_goal_m(state),
+            strayed_m=status.strayed_m,
             is_lying=self._crash.is_lying,
             is_over=self._crash.is_over,
             is_fallen=self._crash.is_down,
@@ -430,7 +431,9 @@ class ControlLoop:
         if taken.event is Event.ESTIMATOR_BAD:
             return self.link.status.estimator
         if taken.event is Event.LANDED_AWAY:
-            return f"{self._from_goal_m(self.link.state):.2f} m"
+            strayed_m = self.link.status.strayed_m
+            words = f"; by the velocities of satellites up to {strayed_m:.2f} m elsewhere"
+            return f"{self._from_goal_m(self.link.state):.2f} m{words if strayed_m > 0 else ''}"
         if taken.event is Event.TIMED_OUT and taken.state is State.LAND:
             return f"landing: the vehicle has not disarmed within {self.options.limits.landing_s:g} s"
         return ""

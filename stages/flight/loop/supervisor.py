@@ -44,6 +44,7 @@ class SupervisorLimits:
         engage_s: maximum time in which the vehicle does not follow orders, at first and later [s].
         drift_m: maximum drift of a hold, see `PositionWatch` [m].
         landed_m: maximum horizontal distance between the plan's end and where the vehicle lands after it [m].
+        arrived_m: maximum of that with what the position may have strayed, see `VehicleStatus` [m].
         failsafe_s: maximum time for which a vehicle in a failsafe may stay in the mode that follows
             set-points; many failsafes are configured to do nothing [s].
         holds: maximum number of holds of a flight; the vehicle lands at the next one.
@@ -64,6 +65,7 @@ class SupervisorLimits:
     engage_s: float = 2.0
     drift_m: float = 1.0
     landed_m: float = 0.5
+    arrived_m: float = 1.0
     failsafe_s: float = 1.0
     holds: int = 3
     checks_s: float = 120.0
@@ -95,6 +97,7 @@ class Facts:
         off_climb_m: distance from the climb path beyond the room that was proven clear; 0 within [m].
         drift_m: drift of a hold beyond the distance needed to brake; 0 within [m].
         from_goal_m: horizontal distance from the plan's end [m]; NaN without a state.
+        strayed_m: as `VehicleStatus` has it [m].
         is_lying, is_over, is_fallen, is_still: as `CrashWatch` found.
         restarted: the vehicle has rebooted since the checks, and has lost all orders and parameters.
         checks: result of the pre-flight checks; None while they run.
@@ -123,6 +126,7 @@ class Facts:
     off_climb_m: float = 0.0
     drift_m: float = 0.0
     from_goal_m: float = 0.0
+    strayed_m: float = 0.0
     is_lying: bool = False
     is_over: bool = False
     is_fallen: bool = False
@@ -265,7 +269,9 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
     is_disarmed = facts.armed is False and (state is not State.ABORT or since_s > limits.settle_s)
     is_landing_over = is_disarmed or facts.landed is True or was.cause is not Event.PLAN_FINISHED
     is_moot = state is State.LAND and is_landing_over  # or what led to the landing is worse
-    is_away = is_disarmed and was.cause is Event.PLAN_FINISHED and not facts.from_goal_m <= limits.landed_m
+    from_goal_m = facts.from_goal_m
+    is_there = from_goal_m <= limits.landed_m and from_goal_m + facts.strayed_m <= limits.arrived_m
+    is_away = is_disarmed and was.cause is Event.PLAN_FINISHED and not is_there
     for event, is_so in (
         # Somebody who takes the vehicle over has priority over every other event; the watchdog changes the
         # mode, too.

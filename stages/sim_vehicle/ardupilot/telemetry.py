@@ -11,7 +11,7 @@ from alula.stages.sim_vehicle.ardupilot.modes import MODES, Mode
 from alula.stages.sim_vehicle.common.airframe import TICK_S, Motion
 from alula.stages.sim_vehicle.common.copter import Copter
 from alula.stages.sim_vehicle.common.packets import Message, mavlink
-from alula.stages.sim_vehicle.common.quaternions import to_euler
+from alula.stages.sim_vehicle.common.quaternions import added, to_euler
 
 # Groups of REQUEST_DATA_STREAM: the parameter with the rate at boot, and the messages.
 STREAMS: dict[int, tuple[str, tuple[str, ...]]] = {
@@ -186,8 +186,10 @@ class Telemetry:
     def _gps_raw_int(self) -> Message:
         estimator = self._copter.estimator
         fixed = estimator.has_fix
-        lat, lon, alt = estimator.global_position(self._motion.position) if fixed else (0.0, 0.0, 0.0)
-        north, east, _ = self._copter.airframe.truth.velocity
+        truth = self._copter.airframe.truth
+        place = added(truth.position, estimator.fix_offset)
+        lat, lon, alt = estimator.global_position(place) if fixed else (0.0, 0.0, 0.0)
+        north, east, _ = truth.velocity
         speed = round(100 * math.hypot(north, east)) if fixed else 0
         course = round(100 * math.degrees(math.atan2(east, north)) % 36000) % 36000
         return mavlink.MAVLink_gps_raw_int_message(

@@ -91,6 +91,7 @@ class Estimator:
         has_failed: fault: the estimate is invalid.
         is_mocap_lost: fault: external navigation does not arrive.
         are_satellites_lost: fault: the receiver has no fix.
+        fix_offset: fault: offset of all fixes, NED [m].
         fix_s: time since boot of the newest fix of satellites [s]; None before the first.
         origin: latitude, longitude [deg] and altitude [m] of the local frame; None before it is set.
         needs_origin: whether external positions are used with an origin only.
@@ -124,6 +125,7 @@ class Estimator:
         self.has_failed = False
         self.is_mocap_lost = False
         self.are_satellites_lost = False
+        self.fix_offset: Vector = (0.0, 0.0, 0.0)
         self.fix_s: float | None = None
         self.origin: LatLonAlt | None = None
         self.needs_origin = True

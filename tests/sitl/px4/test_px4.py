@@ -75,6 +75,19 @@ def test_lost_satellites_land_px4_before_its_own_flags_change(tmp_path):
         assert sim.truth[-1][3] < 0.5
 
 
+def test_an_estimate_that_slips_from_its_satellites_lands_px4(tmp_path):
+    """An antenna that seems 3.3 m ahead: fixes and flags stay good, and it landed there with exit code 0."""
+    with px4(tmp_path) as sim, flight(sim, tmp_path, *SIH) as fly:
+        fly.wait_for("flying the plan")
+        time.sleep(3.0)
+        jumped_s = time.monotonic()
+        sim.set(SENS_GPS0_OFFX=3.3)
+        assert fly.wait_for("estimator not healthy: landing", 6.0) - jumped_s < 4.0
+        assert fly.end() == 6, fly.said
+        assert "m from the way by the velocities of satellites" in fly.said
+        assert sim.truth[-1][3] < 0.5
+
+
 def test_the_real_program_has_the_stored_answers_parameters_and_times(tmp_path):
     with px4(tmp_path, start={}) as sim, Wired(sim.port) as line:
         found = measure(line)

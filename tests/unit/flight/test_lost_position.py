@@ -78,6 +78,27 @@ def test_a_landing_away_from_the_goal_is_no_success():
     assert "the plan was flown, but the vehicle landed away from the plan's end (0." in str(error)
 
 
+def test_an_estimate_that_slips_away_slowly_is_no_success():
+    """So does PX4 with an antenna 3.3 m ahead, by its parameter: it lands there, and all is plausible."""
+
+    def mislead(flight):
+        estimator, begun = flight.copter.estimator, flight.copter.time_s
+
+        def update(*args, **keywords):
+            own(*args, **keywords)
+            slipped = min(1.5, 0.3 * (flight.copter.time_s - begun))
+            estimator.offset = (-slipped, 0.0, 0.0)
+
+        own, estimator.update = estimator.update, update
+
+    made = mission(plan=line_plan(START, GOAL, 3.5), rate_hz=50.0)
+    flight = Flight(made, [Upset(State.FLY, 0.2, mislead)]).fly()
+    assert flight.cause is Event.ESTIMATOR_BAD
+    assert "its position strayed by 1.0 m from the way by the velocities of satellites" in str(
+        said_of(flight.loop)
+    )
+
+
 def test_a_vehicle_that_never_disarms_after_its_landing_is_no_success():
     made = mission(plan=line_plan(START, GOAL, 3.5), rate_hz=50.0)
     stuck = lambda flight: setattr(flight.copter, "disarm", lambda **_: False)  # noqa: E731
@@ -228,6 +249,32 @@ def test_a_jump_of_one_of_two_receivers_is_no_jump():
         satellites.take(position_report(i, 9.0 if i > 9 else 0.0, 0.0), 0.2 * i)
         satellites.take(position_report(i, 0.0, 0.0, "gps2_raw"), 0.2 * i)
         assert satellites.trouble(0.2 * i) == ""
+
+
+@pytest.mark.parametrize(
+    ("drift_m_s", "speed_m_s", "is_wrong"), [(0.04, 1.0, False), (0.2, 1.0, True), (0.2, 0.0, True)]
+)
+def test_a_position_that_leaves_the_way_by_velocities_of_satellites_is_noticed(
+    drift_m_s, speed_m_s, is_wrong
+):
+    """Slowly, so that neither two states nor two seconds show it, and the fixes with it."""
+    satellites = Satellites()
+    satellites.is_watched = True
+    said = set()
+    for i in range(150):
+        at, flown_s = 0.2 * i, max(0.0, 0.2 * i - 10.0)
+        if i == 50:
+            satellites.take_off()
+        place = drift_m_s * flown_s, speed_m_s * flown_s
+        satellites.estimated((0.0, speed_m_s if flown_s else 0.0), place)
+        made = position_report(i, *place)
+        made.vel, made.cog, made.vel_acc = (100 if speed_m_s and flown_s else 0), 9000, 100
+        satellites.take(made, at)
+        said.add(satellites.trouble(at)[:20])
+    assert satellites.strayed_m == pytest.approx(max(0.0, 20 * drift_m_s - 0.4 * speed_m_s - 0.2), abs=0.1)
+    assert said == {"", *(["its position strayed"] if is_wrong else [])}
+    satellites.is_watched = False  # it flies by something else
+    assert satellites.strayed_m == 0
 
 
 def test_fixes_that_jump_land_it_before_the_estimate_has_followed():

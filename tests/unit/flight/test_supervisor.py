@@ -413,3 +413,20 @@ def test_whatever_happens_the_rules_hold(facts):
             assert each.state_age_s <= LIMITS.stale_s
             assert each.armed is not False
             assert each.is_ours
+
+
+@pytest.mark.parametrize(
+    ("from_goal_m", "strayed_m", "event"),
+    [
+        (0.4, 0.5, Event.DISARMED),
+        (0.4, 0.7, Event.LANDED_AWAY),
+        (0.1, 0.95, Event.LANDED_AWAY),
+        (0.6, 0.0, Event.LANDED_AWAY),
+        (math.nan, 0.0, Event.LANDED_AWAY),
+    ],
+)
+def test_a_plan_is_flown_only_where_its_end_is_certain_to_a_metre(from_goal_m, strayed_m, event):
+    was = Supervision(State.LAND, NOW - 5.0, cause=Event.PLAN_FINISHED)
+    down = dataclasses.replace(ON_GROUND, from_goal_m=from_goal_m, strayed_m=strayed_m)
+    _, (taken,) = advance(was, down, LIMITS)
+    assert taken.event is event

@@ -258,6 +258,8 @@ class MavlinkLink:
             return
         if order is Order.HOLD and self._is_without_position:
             raise LinkError("hold is refused: the mode guided_nogps has no position")
+        if order is Order.TAKE_OFF:
+            self._telemetry.satellites.take_off()
         is_climb = order is Order.TAKE_OFF and not self._autopilot.takes_off_by_command
         is_followed = order in (Order.ARM, Order.TAKE_CONTROL) and self._autopilot.streams_first
         stream = self._climb(self._encoder, height_m) if is_climb else self._encoder.stop

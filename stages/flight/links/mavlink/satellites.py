@@ -17,9 +17,37 @@ _DISAGREES_S = 0.6  # longer than the delay of a receiver lets them differ
 _JUMPS_M = 1.0  # in 2 s, between the position of a receiver and the estimated one
 _JUMP_S = 2.0
 _JUMP_FIXES = 2  # in a row that must agree
+_STRAYS_M = 1.0  # between the way by a receiver's velocities and the estimated one
+_DRIFT_M_S = 0.01  # of the integral of a receiver's velocities
+_LONGEST_S = 1.0  # between fixes; velocities are not integrated over more
 _DELAY_S = 0.4  # a fix is older than the estimate by at most that
 _EARTH_M = 6378100.0
 KINDS = ("GPS_RAW_INT", "GPS2_RAW")
+
+
+class _Way:
+    """Way by the velocities of one receiver beside the estimated one, from a rest on.
+
+    Attributes:
+        strayed_m: distance between both, less what the delay of a fix makes of the velocity, and less 1 cm/s
+            that those velocities may be wrong by [m].
+    """
+
+    def __init__(self, now_s: float, velocity: tuple[float, float], position: tuple[float, float]) -> None:
+        self.strayed_m = 0.0
+        self._begun_s = self._at_s = now_s
+        self._velocity, self._position = velocity, position
+        self._north = self._east = 0.0  # estimated way less that by the velocities [m]
+
+    def go(self, now_s: float, velocity: tuple[float, float], position: tuple[float, float]) -> None:
+        """Go on to a fix, with the estimated position then."""
+        dt_s = now_s - self._at_s
+        if dt_s <= _LONGEST_S:
+            self._north += position[0] - self._position[0] - 0.5 * dt_s * (velocity[0] + self._velocity[0])
+            self._east += position[1] - self._position[1] - 0.5 * dt_s * (velocity[1] + self._velocity[1])
+        self._at_s, self._velocity, self._position = now_s, velocity, position
+        allowed_m = _DELAY_S * math.hypot(*velocity) + _DRIFT_M_S * (now_s - self._begun_s)
+        self.strayed_m = max(0.0, math.hypot(self._north, self._east) - allowed_m)
 
 
 class Satellites:
@@ -37,6 +65,10 @@ class Satellites:
     distance between a fix and the estimated position may change by 1 m and twice the receiver's own accuracy,
     besides what the delay of a fix makes of a change of the velocity. Two fixes in a row must agree.
 
+    From the take-off on the velocities of the fixes are integrated: by more than 1 m, and 1 cm/s, the
+    estimated position must not have moved otherwise. This sees what comes slowly, and what the positions of
+    fixes follow.
+
     Attributes:
         is_watched: the vehicle's position depends on satellites.
     """
@@ -52,11 +84,23 @@ class Satellites:
         self._position: tuple[float, float] | None = None  # estimated, north and east [m]
         self._zero: tuple[float, float] | None = None  # latitude and longitude that positions are from [rad]
         self._apart: dict[str, deque[tuple[float, ...]]] = {}  # [s], fix less estimate [m], velocity [m/s]
+        self._ways: dict[str, _Way] = {}
+        self._is_flown = False
         self._jumped: dict[str, tuple[int, float]] = {}  # number of fixes in a row, and by how much [m]
 
     def estimated(self, velocity: tuple[float, float], position: tuple[float, float] | None = None) -> None:
         """Store the vehicle's own newest estimates: north and east, [m/s] and [m]."""
         self._estimated, self._position = velocity, position
+
+    def take_off(self) -> None:
+        """Compare the way from here on."""
+        self._ways, self._is_flown = {}, True
+
+    @property
+    def strayed_m(self) -> float:
+        """Distance of the estimate from the way by the velocities of the receiver that agrees best [m]."""
+        ways = self._ways.values() if self.is_watched else ()
+        return min((way.strayed_m for way in ways), default=0.0)
 
     def take(self, message: Any, now_s: float) -> None:
         """Process a message of `KINDS` that arrived at `now_s` [s]."""
@@ -91,8 +135,11 @@ class Satellites:
             self._differs.pop(kind, None)
             return
         speed, course = 0.01 * message.vel, math.radians(0.01 * message.cog)
-        north, east = self._estimated
-        away = math.hypot(speed * math.cos(course) - north, speed * math.sin(course) - east)
+        measured = speed * math.cos(course), speed * math.sin(course)
+        if self._is_flown and self._position is not None:
+            way = self._ways.setdefault(kind, _Way(now_s, measured, self._position))
+            way.go(now_s, measured, self._position)
+        away = math.dist(measured, self._estimated)
         if away <= _DISAGREES_M_S + _ERRORS * 1e-3 * message.vel_acc:
             self._differs.pop(kind, None)
         else:
@@ -118,5 +165,7 @@ class Satellites:
         jumps = [self._jumped.get(kind, (0, 0.0)) for kind in self._fixed_s]
         if all(fixes >= _JUMP_FIXES for fixes, _ in jumps):
             return f"the position of the satellites jumped by {max(jump for _, jump in jumps):.1f} m"
+        if (strayed_m := self.strayed_m) > _STRAYS_M:
+            return f"its position strayed by {strayed_m:.1f} m from the way by the velocities of satellites"
         silent_s = now_s - self._heard_s
         return f"no report of satellites for {silent_s:.1f} s" if silent_s > _SILENT_S else ""

@@ -114,6 +114,7 @@ class Telemetry:
             self._judge_estimator(now_s)
         elif kind in KINDS:
             self.satellites.take(message, now_s)
+            status.strayed_m = self.satellites.strayed_m
             return []
         elif kind == "LOCAL_POSITION_NED":
             self.satellites.estimated((message.vx, message.vy), (message.x, message.y))
