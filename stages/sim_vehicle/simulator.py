@@ -171,6 +171,9 @@ class SimulatedVehicle:
                 copter.battery.drain_to(fault.size)
         jump = acting.get("jump")
         estimator.offset = (0.0, 0.0, 0.0) if jump is None else (jump.size, 0.0, 0.0)
+        fixes = acting.get("fixes")
+        estimator.fix_offset = (0.0, 0.0, 0.0) if fixes is None else (fixes.size, 0.0, 0.0)
+        copter.spoil_compass(is_bad="compass" in acting)
         estimator.is_mocap_lost = "mocap-loss" in acting
         estimator.are_satellites_lost = "satellites" in acting
         copter.airframe.are_rotors_dead = "rotors" in acting

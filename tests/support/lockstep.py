@@ -15,6 +15,7 @@ import numpy as np
 
 from alula.schemas.errors import LinkError
 from alula.stages.clearance import path_clearance
+from alula.stages.flight.links.mavlink.setpoints import ATTITUDE_MASK
 from alula.stages.flight.links.open_link import open_link
 from alula.stages.flight.links.options import LinkOptions
 from alula.stages.flight.loop.supervisor import State
@@ -256,9 +257,9 @@ class Flight(Served):
 
     @staticmethod
     def _moves(message):
-        """Whether it is more than the order to stand still."""
+        """Whether it is more than the order to stand still, or to sink there."""
         if message.get_type() == "SET_ATTITUDE_TARGET":
-            return True
+            return message.type_mask != ATTITUDE_MASK
         return any((message.vx, message.vy, message.vz, message.afx, message.afy, message.afz))
 
     def _judge_ages(self, seen_is_true):

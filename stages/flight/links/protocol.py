@@ -79,6 +79,7 @@ class VehicleStatus:
         estimator: why `is_estimator_ready` is False, in words; may be empty.
         strayed_m: distance of its position from the way by its satellites' velocities since the take-off; 0
             where there are none [m].
+        sinks: whether it lands without a position, in the mode that follows set-points.
         without_position: what its position needs and lacks, in words; empty if it reports one, or not known.
         clock: why the age of its states is not known, in words; may be empty.
         is_failsafe: whether one of its own failsafes has triggered, whether it acts or not.
@@ -104,6 +105,7 @@ class VehicleStatus:
     is_estimator_ready: bool | None = None
     estimator: str = ""
     strayed_m: float = 0.0
+    sinks: bool = False
     without_position: str = ""
     clock: str = ""
     is_failsafe: bool = False

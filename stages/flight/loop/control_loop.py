@@ -359,6 +359,7 @@ class ControlLoop:
             drift_m=self._drift_m,
             from_goal_m=self._from_goal_m(state),
             strayed_m=status.strayed_m,
+            sinks=status.sinks,
             is_lying=self._crash.is_lying,
             is_over=self._crash.is_over,
             is_fallen=self._crash.is_down,

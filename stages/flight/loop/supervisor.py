@@ -44,7 +44,8 @@ class SupervisorLimits:
         engage_s: maximum time in which the vehicle does not follow orders, at first and later [s].
         drift_m: maximum drift of a hold, see `PositionWatch` [m].
         landed_m: maximum horizontal distance between the plan's end and where the vehicle lands after it [m].
-        arrived_m: maximum of that with what the position may have strayed, see `VehicleStatus` [m].
+        arrived_m: maximum of that with what the position may have strayed, see `VehicleStatus`; at least
+            `landed_m` [m].
         failsafe_s: maximum time for which a vehicle in a failsafe may stay in the mode that follows
             set-points; many failsafes are configured to do nothing [s].
         holds: maximum number of holds of a flight; the vehicle lands at the next one.
@@ -97,7 +98,7 @@ class Facts:
         off_climb_m: distance from the climb path beyond the room that was proven clear; 0 within [m].
         drift_m: drift of a hold beyond the distance needed to brake; 0 within [m].
         from_goal_m: horizontal distance from the plan's end [m]; NaN without a state.
-        strayed_m: as `VehicleStatus` has it [m].
+        strayed_m, sinks: as `VehicleStatus` has them.
         is_lying, is_over, is_fallen, is_still: as `CrashWatch` found.
         restarted: the vehicle has rebooted since the checks, and has lost all orders and parameters.
         checks: result of the pre-flight checks; None while they run.
@@ -127,6 +128,7 @@ class Facts:
     drift_m: float = 0.0
     from_goal_m: float = 0.0
     strayed_m: float = 0.0
+    sinks: bool = False
     is_lying: bool = False
     is_over: bool = False
     is_fallen: bool = False
@@ -270,7 +272,9 @@ def observe(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Iterato
     is_landing_over = is_disarmed or facts.landed is True or was.cause is not Event.PLAN_FINISHED
     is_moot = state is State.LAND and is_landing_over  # or what led to the landing is worse
     from_goal_m = facts.from_goal_m
-    is_there = from_goal_m <= limits.landed_m and from_goal_m + facts.strayed_m <= limits.arrived_m
+    is_there = from_goal_m <= limits.landed_m and (
+        from_goal_m + facts.strayed_m <= max(limits.arrived_m, limits.landed_m)
+    )
     is_away = is_disarmed and was.cause is Event.PLAN_FINISHED and not is_there
     for event, is_so in (
         # Somebody who takes the vehicle over has priority over every other event; the watchdog changes the
@@ -331,7 +335,8 @@ def _has_climbed(facts: Facts) -> bool:
 def _timed(was: Supervision, facts: Facts, limits: SupervisorLimits) -> Supervision:
     """Update the times since which a condition holds, and `engaged`."""
     is_idle = facts.is_failsafe and facts.obeys
-    is_unheeded = (was.state in _OBEYING and not facts.obeys) or (was.state is State.LAND and facts.obeys)
+    is_landing_late = was.state is State.LAND and facts.obeys and not facts.sinks
+    is_unheeded = (was.state in _OBEYING and not facts.obeys) or is_landing_late
     failsafe = min(was.failsafe_s, facts.now_s) if is_idle else math.inf
     unheeded = min(was.unheeded_s, facts.now_s) if is_unheeded else math.inf
     if (failsafe, unheeded) != (was.failsafe_s, was.unheeded_s):

@@ -291,7 +291,9 @@ class Telemetry:
     def _ekf_status_report(self) -> Message:
         estimator = self._copter.estimator
         bad = estimator.variance
-        return mavlink.MAVLink_ekf_status_report_message(estimator.flags, bad, bad, 0.05, 0.05, 0.0)
+        return mavlink.MAVLink_ekf_status_report_message(
+            estimator.flags, bad, bad, 0.05, estimator.compass_variance, 0.0
+        )
 
     def _position_target_local_ned(self) -> Message | None:
         target = self._copter.flying.guided.target

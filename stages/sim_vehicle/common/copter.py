@@ -125,6 +125,10 @@ class Copter(ABC):
     def _attitude_control(self, vehicle: Vehicle) -> AttitudeControl:
         """Its inner loop."""
 
+    def spoil_compass(self, *, is_bad: bool) -> None:
+        """Apply a fault: the compass is off by 400 mG."""
+        self.estimator.is_compass_bad = is_bad
+
     def say(self, severity: int, text: str) -> None:
         """Queue a STATUSTEXT.
 

@@ -36,6 +36,8 @@ _GATE_M = 1.0  # external positions with a larger error are rejected
 _REFUSED_S = 5.0  # after rejecting them for this long the estimate is reset to them
 _GAIN = (4.0, 4.0, 2.0)  # position to position and velocity, velocity to velocity [1/s, 1/s^2, 1/s]
 _POSITION_PULL, _VELOCITY_PULL, _STEP_PULL = _GAIN[1], 4 * _GAIN[2], TICK_S * _GAIN[0]
+_COMPASS_REFUSED, _COMPASS_S = 0.77, 0.1  # of ArduPilot's, 400 mG off; and the time of its filter
+_TURNED_RAD_S = 0.042  # by which its heading follows that compass
 _BLOCK = 512  # ticks in one draw of noise
 
 LatLonAlt = tuple[float, float, float]
@@ -92,6 +94,8 @@ class Estimator:
         is_mocap_lost: fault: external navigation does not arrive.
         are_satellites_lost: fault: the receiver has no fix.
         fix_offset: fault: offset of all fixes, NED [m].
+        is_compass_bad: fault: the compass contradicts the gyroscopes.
+        follows_s: time in which the position follows fixes that jump to 63 % [s].
         fix_s: time since boot of the newest fix of satellites [s]; None before the first.
         origin: latitude, longitude [deg] and altitude [m] of the local frame; None before it is set.
         needs_origin: whether external positions are used with an origin only.
@@ -126,6 +130,10 @@ class Estimator:
         self.is_mocap_lost = False
         self.are_satellites_lost = False
         self.fix_offset: Vector = (0.0, 0.0, 0.0)
+        self.follows_s = 1.1
+        self.is_compass_bad = False
+        self.compass_variance = 0.05
+        self._followed = [0.0, 0.0, 0.0]  # of it
         self.fix_s: float | None = None
         self.origin: LatLonAlt | None = None
         self.needs_origin = True
@@ -242,6 +250,10 @@ class Estimator:
         """
         self._time_s += TICK_S
         noise = self._next_noise()
+        if self.is_compass_bad:
+            self._yaw_error += _TURNED_RAD_S * TICK_S
+        refused = _COMPASS_REFUSED if self.is_compass_bad else 0.05
+        self.compass_variance += TICK_S / _COMPASS_S * (refused - self.compass_variance)
         turn = from_heading(self._yaw_error)
         acceleration = self._integrate(truth, turn, noise, is_still)
         self._settle()
@@ -288,6 +300,11 @@ class Estimator:
         measured = added(rotate(turn, truth.acceleration), self._bias)
         positions, velocities = self._position, self._velocity
         true_position, true_velocity = truth.position, truth.velocity
+        if self.fix_offset != (0.0, 0.0, 0.0) or any(self._followed):
+            share = TICK_S / self.follows_s
+            for i, offset in enumerate(self.fix_offset):
+                self._followed[i] += share * (offset - self._followed[i])
+            true_position = added(true_position, (self._followed[0], self._followed[1], self._followed[2]))
         for i, follows in enumerate((follows_level, follows_level, follows_height)):
             velocity, position = velocities[i] + measured[i] * TICK_S, positions[i]
             if stands:

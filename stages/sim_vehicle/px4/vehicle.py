@@ -95,12 +95,13 @@ class Px4Copter(Copter):
     def _boot(self) -> None:
         self.chosen = self.flown = Px4Mode.HOLD
         self.estimator.needs_origin = False
+        self.estimator.follows_s = 1.8
         self._lands_from: Px4Mode | None = None  # mode in which its landing was chosen
         self._setpoint_s = self._stream_s = -math.inf
         self._since_s: dict[str, float] = {}  # when each cause of a failsafe began
         self._ended: set[str] = set()  # causes ended by the choice of a mode
         self._top_m: float | None = None  # height of a take-off above the local origin
-        self._has_flown = self._has_left = False
+        self._has_flown = self._has_left = self._is_told = False
         self.mode = ROWS[self.flown].flown
 
     def _plant(self, vehicle: Vehicle) -> Vehicle:
@@ -254,6 +255,12 @@ class Px4Copter(Copter):
                 self.mode = ROWS[self.flown].flown
             self.say(INFO, "Disarmed")
         return True
+
+    def spoil_compass(self, *, is_bad: bool) -> None:
+        """See `Copter`; what PX4 does then was not measured."""
+        if is_bad and not self._is_told:
+            self._is_told = True
+            self.say(WARNING, "A compass that is off is not simulated")
 
     def _min_top_m(self) -> float:
         ground = self.flying.home if self.is_armed else self.estimator.motion.position

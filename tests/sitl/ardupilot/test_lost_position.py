@@ -43,6 +43,9 @@ def test_fixes_that_jump_land_it_before_the_estimate_follows(tmp_path):
         assert fly.wait_for("estimator not healthy: landing", 5.0) - jumped_s < 1.0
         assert fly.end() == 6, fly.said
         assert "the position of the satellites jumped by " in fly.said
+        at = next(row for row in sim.truth if row[0] >= jumped_s)
+        assert math.dist(at[1:3], sim.truth[-1][1:3]) < 1.5  # by its landing mode, 3.7 m
+        assert sim.truth[-1][3] < 0.1
 
 
 def test_a_compass_that_fails_lands_it_before_the_heading_is_lost(tmp_path):

@@ -85,6 +85,9 @@ def test_an_estimate_that_slips_from_its_satellites_lands_px4(tmp_path):
         assert fly.wait_for("estimator not healthy: landing", 6.0) - jumped_s < 4.0
         assert fly.end() == 6, fly.said
         assert "m from the way by the velocities of satellites" in fly.said
+        found_s = fly.at("estimator not healthy: landing")
+        at = next(row for row in sim.truth if row[0] >= found_s)
+        assert math.dist(at[1:3], sim.truth[-1][1:3]) < 1.5  # by its landing mode 1.8 and 1.9 m
         assert sim.truth[-1][3] < 0.5
 
 

@@ -18,10 +18,10 @@ from support.small_scenes import line_plan
 START, GOAL = (0.3, 2.0, 0.5), (2.7, 2.0, 0.5)
 
 
-def flown(state, after, do, parameters=None):
+def flown(state, after, do, parameters=None, *, seen_is_true=True):
     made = mission(plan=line_plan(START, GOAL, 3.5), rate_hz=50.0)
     flight = Flight(made, [Upset(state, after, do)], {}, parameters or {}).fly()
-    flight.judge()
+    flight.judge(seen_is_true=seen_is_true)
     return flight
 
 
@@ -285,6 +285,16 @@ def test_fixes_that_jump_land_it_before_the_estimate_has_followed():
     assert flight.cause is Event.ESTIMATOR_BAD
     assert flight.entered[State.LAND] - flight.entered[State.FLY] < 0.5 + 0.6
     assert "the position of the satellites jumped by 3.3 m" in str(said_of(flight.loop))
+
+
+def test_fixes_that_jump_do_not_move_it_in_its_landing():
+    """The estimate follows them, and a mode that holds a position would fly as far the other way."""
+    flight = flown(State.FLY, 0.5, fault("fixes"), seen_is_true=False)
+    assert flight.cause is Event.ESTIMATOR_BAD
+    assert "the position of the satellites jumped by " in str(said_of(flight.loop))
+    way = flight.path(State.LAND)
+    assert math.dist(way[0, 1:3], way[-1, 1:3]) < 0.35
+    assert not flight.copter.is_armed
 
 
 def test_a_compass_that_contradicts_the_estimate_lands_it_before_the_heading_is_lost():

@@ -6,9 +6,12 @@ import math
 import pytest
 
 from alula.schemas.errors import UsageError
+from alula.stages.sim_vehicle.ardupilot.copter import ArduCopter
 from alula.stages.sim_vehicle.ardupilot.modes import Mode
 from alula.stages.sim_vehicle.common.faults import KINDS, Fault, parse_fault
 from alula.stages.sim_vehicle.common.packets import mavlink
+from alula.stages.sim_vehicle.common.quaternions import to_euler
+from alula.stages.sim_vehicle.px4.vehicle import Px4Copter
 from support.autopilot_client import EXACT, Client, of
 
 
@@ -134,3 +137,45 @@ def test_every_fault_is_parsed(kind):
 def test_what_is_no_fault_is_refused(text):
     with pytest.raises(UsageError, match="fault"):
         parse_fault(text)
+
+
+@pytest.mark.parametrize(
+    ("kind", "followed"),
+    [  # of 3.3 m, measured on the real programs: after the jump [s], and by how much [m]
+        (ArduCopter, {0.8: 1.0, 1.2: 1.63, 1.6: 2.14, 2.4: 2.82, 3.2: 3.17}),
+        (Px4Copter, {0.8: 0.6, 1.3: 1.2, 1.9: 1.8, 2.5: 2.2, 3.1: 2.5, 4.3: 2.88}),
+    ],
+)
+def test_an_estimate_follows_fixes_that_jump_as_the_real_one(kind, followed):
+    flown = type("Flown", (Client,), {"kind": kind})()
+    flown.wait(1.0)
+    flown.interval("GPS_RAW_INT", 5)
+    flown.interval("LOCAL_POSITION_NED", 20)
+    flown.wait(0.5)
+    before, north = flown.last("GPS_RAW_INT").lat, flown.last("LOCAL_POSITION_NED").x
+    flown.vehicle.inject(parse_fault("fixes"))
+    at = 0.0
+    for when, moved in followed.items():
+        flown.wait(when - at)
+        at = when
+        assert flown.last("LOCAL_POSITION_NED").x - north == pytest.approx(moved, abs=0.35)
+    assert flown.last("GPS_RAW_INT").lat - before == pytest.approx(
+        3.3 / 6378100.0 * 180 / math.pi * 1e7, abs=3
+    )
+
+
+def test_a_compass_that_is_off_shows_as_in_the_real_program():
+    """400 mG on the real ArduPilot: a variance of 0.77 after 0.4 s, 0.2 rad after 4.7 s."""
+    client = Client(options=EXACT)
+    client.fly(3)
+    for name in ("EKF_STATUS_REPORT", "ATTITUDE"):
+        client.interval(name, 20)
+    client.wait(0.5)
+    heading = client.last("ATTITUDE").yaw
+    assert client.last("EKF_STATUS_REPORT").compass_variance < 0.1
+    client.vehicle.inject(parse_fault("compass"))
+    client.wait(0.4)
+    assert client.last("EKF_STATUS_REPORT").compass_variance == pytest.approx(0.77, abs=0.05)
+    client.wait(4.3)
+    error = client.last("ATTITUDE").yaw - to_euler(client.truth.attitude)[2] - heading
+    assert math.remainder(error, 2 * math.pi) == pytest.approx(0.2, abs=0.03)

@@ -25,11 +25,12 @@ from alula.stages.flight.links.mavlink.hover import HoverThrottle
 from alula.stages.flight.links.mavlink.orders import Addressee, Orders
 from alula.stages.flight.links.mavlink.parameters import Parameters
 from alula.stages.flight.links.mavlink.session import COMPONENT, GROUND_STATION, Session
-from alula.stages.flight.links.mavlink.setpoints import SetpointEncoder
+from alula.stages.flight.links.mavlink.setpoints import SINK_M_S, SetpointEncoder
 from alula.stages.flight.links.mavlink.telemetry import Telemetry
 from alula.stages.flight.links.mocap import Mocap
 from alula.stages.flight.links.options import LinkOptions
 from alula.stages.flight.links.protocol import Order, VehicleState, VehicleStatus, Ward, check_height
+from alula.stages.rotation import matrix_from_quat_wxyz
 from alula.stages.vehicles.setpoints import RatesSetpoint, Setpoint
 
 _ANSWER_S = 2.0
@@ -44,6 +45,8 @@ _REQUEST_AGAIN_S = 2.0
 _ORIGIN_S = 1.0
 _HOVER_TAU_S = 3.0
 _OFF_GROUND_M = 0.2  # from here on its weight rests on its rotors
+_SUNK_M = 0.3  # height from which it lands by itself
+_SINK_MORE_S = 3.0
 _SYNC_S = 0.5
 _REASONS_S = 5.0  # between requests for the reasons why it does not arm
 _NO_MESSAGE = re.compile(r"No ap_message for mavlink id \((\d+)\)")
@@ -96,6 +99,7 @@ class MavlinkLink:
         self._throttle_ms = -1  # time of the newest throttle that the vehicle reported
         self._stream: Callable[[int], Any] | None = None  # set-point repeated while `send` is not called
         self._ground_m = math.inf  # height at which it stood
+        self._sinks_until_s = -math.inf  # it lands by velocities until then at the latest
         self._stream_since_s = math.inf  # start of the uninterrupted stream
         self._state: VehicleState | None = None
 
@@ -203,6 +207,9 @@ class MavlinkLink:
         status.clock = "its clock runs faster than that of this computer" if self._estimate.runs_fast else ""
         if self._orders is None:
             return
+        if self._sinks_until_s > -math.inf:
+            self._watch_sinking(self._orders, now_s)
+        status.sinks = self._sinks_until_s > -math.inf
         self._orders.poll(now_s)
         if self._parameters is not None and (changed := self._parameters.poll(now_s)) is not None:
             status.changed = changed
@@ -245,7 +252,8 @@ class MavlinkLink:
 
         ARM first takes control if the vehicle does not follow set-points yet. HOLD is a stream of
         zero-velocity set-points. TAKE_OFF of PX4 is a stream of the position set-point above. Both end with
-        the next set-point or command, and neither changes the mode: a pilot who took over keeps control.
+        the next set-point or command, and neither changes the mode: a pilot who took over keeps control. LAND
+        is a stream of attitudes down to 0.3 m where satellites misplace the position, which it would follow.
 
         Raises:
             LinkError: the command is not possible now.
@@ -258,6 +266,9 @@ class MavlinkLink:
             return
         if order is Order.HOLD and self._is_without_position:
             raise LinkError("hold is refused: the mode guided_nogps has no position")
+        self._sinks_until_s = -math.inf
+        if order is Order.LAND and self._sinks(self._encoder, now_s):
+            return
         if order is Order.TAKE_OFF:
             self._telemetry.satellites.take_off()
         is_climb = order is Order.TAKE_OFF and not self._autopilot.takes_off_by_command
@@ -274,6 +285,42 @@ class MavlinkLink:
             self._stream_since_s = math.inf
         self._streamed_s = -math.inf
         self.poll(now_s)
+
+    def _sinks(self, encoder: SetpointEncoder, now_s: float) -> bool:
+        """Begin to land without a position, if satellites misplace the one that a landing mode would hold."""
+        state, satellites, frame = self._state, self._telemetry.satellites, self._options.frame
+        if state is None or not (satellites.are_misplaced and self.status.obeys):
+            return False
+        height_m = float(state.position[2]) - self._ground_m
+        if not math.isfinite(height_m) or satellites.velocity is None:
+            return False
+        assert self._orders is not None
+        nose = matrix_from_quat_wxyz(state.attitude_wxyz)[:, 0]
+        yaw = frame.yaw_to_ned(math.atan2(nose[1], nose[0]))
+
+        def stream(time_ms: int) -> Any:
+            sinking = 0.0 if self._state is None else -float(self._state.velocity[2])
+            return encoder.sink(np.array([*(satellites.velocity or (0.0, 0.0)), sinking]), yaw, time_ms)
+
+        self._orders.drop()
+        self._stream, self._streamed_s = stream, -math.inf
+        self._sinks_until_s = now_s + max(height_m, 0.0) / SINK_M_S + _SINK_MORE_S
+        self.poll(now_s)
+        return True
+
+    def _watch_sinking(self, orders: Orders, now_s: float) -> None:
+        """Order the landing mode near the ground, which notices it and disarms."""
+        state, status = self._state, self.status
+        if status.mode and not status.obeys:  # somebody else flies it
+            self._stream, self._sinks_until_s = None, -math.inf
+        elif (
+            now_s > self._sinks_until_s
+            or self._telemetry.satellites.velocity is None
+            or status.landed is True
+            or (state is not None and state.position[2] - self._ground_m < _SUNK_M)
+        ):
+            self._stream, self._sinks_until_s = None, -math.inf
+            orders.start(Order.LAND, now_s, 0.0)
 
     def close(self) -> None:
         """Restore changed parameters as far as the vehicle still answers, and disconnect; never raises.

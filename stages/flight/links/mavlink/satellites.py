@@ -86,6 +86,7 @@ class Satellites:
         self._apart: dict[str, deque[tuple[float, ...]]] = {}  # [s], fix less estimate [m], velocity [m/s]
         self._ways: dict[str, _Way] = {}
         self._is_flown = False
+        self._velocity: tuple[float, float] | None = None  # of the newest fix
         self._jumped: dict[str, tuple[int, float]] = {}  # number of fixes in a row, and by how much [m]
 
     def estimated(self, velocity: tuple[float, float], position: tuple[float, float] | None = None) -> None:
@@ -133,9 +134,10 @@ class Satellites:
     def _compare(self, kind: str, message: Any, now_s: float) -> None:
         if self._estimated is None or _UNKNOWN in (message.vel, message.cog):
             self._differs.pop(kind, None)
+            self._velocity = None
             return
         speed, course = 0.01 * message.vel, math.radians(0.01 * message.cog)
-        measured = speed * math.cos(course), speed * math.sin(course)
+        self._velocity = measured = speed * math.cos(course), speed * math.sin(course)
         if self._is_flown and self._position is not None:
             way = self._ways.setdefault(kind, _Way(now_s, measured, self._position))
             way.go(now_s, measured, self._position)
@@ -144,6 +146,12 @@ class Satellites:
             self._differs.pop(kind, None)
         else:
             self._differs[kind] = self._differs.get(kind, (now_s, 0.0))[0], away
+
+    @property
+    def velocity(self) -> tuple[float, float] | None:
+        """Newest measured velocity, north and east [m/s]; None if it is unknown or a second old."""
+        is_old = self._heard_s - max(self._fixed_s.values(), default=-math.inf) > _STILL_S
+        return None if is_old else self._velocity
 
     @property
     def has_fix(self) -> bool:
@@ -162,10 +170,20 @@ class Satellites:
             since_s, away = max(self._differs.values())
             if self._heard_s - since_s >= _DISAGREES_S:
                 return f"its velocity differs from that of the satellites by {away:.1f} m/s"
+        if words := self._misplaced():
+            return words
+        silent_s = now_s - self._heard_s
+        return f"no report of satellites for {silent_s:.1f} s" if silent_s > _SILENT_S else ""
+
+    @property
+    def are_misplaced(self) -> bool:
+        """Return whether positions are wrong, but not velocities: what holds a position would move."""
+        return self.is_watched and bool(self._fixed_s) and bool(self._misplaced())
+
+    def _misplaced(self) -> str:
         jumps = [self._jumped.get(kind, (0, 0.0)) for kind in self._fixed_s]
         if all(fixes >= _JUMP_FIXES for fixes, _ in jumps):
             return f"the position of the satellites jumped by {max(jump for _, jump in jumps):.1f} m"
         if (strayed_m := self.strayed_m) > _STRAYS_M:
             return f"its position strayed by {strayed_m:.1f} m from the way by the velocities of satellites"
-        silent_s = now_s - self._heard_s
-        return f"no report of satellites for {silent_s:.1f} s" if silent_s > _SILENT_S else ""
+        return ""

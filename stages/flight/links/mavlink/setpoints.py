@@ -25,6 +25,10 @@ STOP_MASK = VELOCITY_MASK | _NO_YAW
 ACCELERATION_MASK = _NO_POSITION | _NO_YAW_RATE
 POSITION_MASK = _NO_VELOCITY | _NO_ACCELERATION | _NO_YAW_RATE | _NO_YAW
 
+ATTITUDE_MASK = 0b111  # SET_ATTITUDE_TARGET: ignores the rates
+SINK_M_S = 0.5
+_SINK_PER_S = 2.0
+_BRAKE_PER_S, _BRAKE_M_S2 = 1.2, 2.0  # slow enough for velocities of satellites, which are 0.4 s late
 _LOCAL_NED = 1  # MAV_FRAME
 _GAP_S = 0.5  # after a longer gap the last set-point does not limit the next
 _FIRST_S = 0.02
@@ -92,6 +96,31 @@ class SetpointEncoder:
         """Message of zero velocity with any heading; it needs no state."""
         self._last = None
         return self._point(time_ms, STOP_MASK)
+
+    def sink(self, velocity_ned: FloatArray, yaw_ned: float, time_ms: int) -> Any:
+        """Message of an attitude and a thrust that end a horizontal velocity and descend by 0.5 m/s.
+
+        It needs no position, and of the vehicle's estimate only its attitude and its vertical velocity.
+
+        Args:
+            velocity_ned: horizontal as measured by satellites, vertical as estimated, shape (3,) [m/s].
+            yaw_ned: heading to keep [rad].
+        """
+        self._last = None
+        gravity = self.hover.gravity_m_s2
+        along = -_BRAKE_PER_S * velocity_ned[:2]
+        along *= min(1.0, _BRAKE_M_S2 / max(float(np.linalg.norm(along)), 1e-9))
+        up = gravity + _SINK_PER_S * (float(velocity_ned[2]) - SINK_M_S)
+        up = min(max(up, 0.5 * gravity), 1.5 * gravity)
+        cosine, sine = math.cos(yaw_ned), math.sin(yaw_ned)
+        ahead = float(cosine * along[0] + sine * along[1])
+        right = float(cosine * along[1] - sine * along[0])
+        quat = _from_euler(math.atan2(right, up), math.atan2(-ahead, up), yaw_ned)
+        low, high = self.limits.throttle
+        throttle = min(max(self.hover.throttle(math.hypot(up, ahead, right)), low), high)
+        return dialect.MAVLink_set_attitude_target_message(
+            time_ms, *self.target, ATTITUDE_MASK, quat, 0.0, 0.0, 0.0, throttle
+        )
 
     def position(self, position_ned: FloatArray, time_ms: int) -> Any:
         """Message of a position with any heading.
@@ -189,3 +218,14 @@ def _check(name: str, values: Any, limit: Any) -> FloatArray:
         if abs(value) > _FAR_OUT * bound:
             raise LinkError(f"set-point refused: {field} is {value:g}, the limit {bound:g}")
     return array
+
+
+def _from_euler(roll: float, pitch: float, yaw: float) -> list[float]:
+    """Quaternion of a vehicle's axes in NED, w first."""
+    (a, b, c), (d, e, f) = ([g(each / 2) for each in (roll, pitch, yaw)] for g in (math.cos, math.sin))
+    return [
+        a * b * c + d * e * f,
+        d * b * c - a * e * f,
+        a * e * c + d * b * f,
+        a * b * f - d * e * c,
+    ]
