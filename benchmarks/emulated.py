@@ -66,13 +66,13 @@ GEOFENCE_TICK = np.dtype(
 STACK_TICK = np.dtype(
     [
         ("status", "<u4"),
-        ("part", "<u4", 3),
         ("velocity", "<f4", 3),
-        ("acceleration", "<f4", 3),
-        ("sticks", "<f4", 4),
-        *((name, "<u4") for name in ("outcome", "walls", "walls_are_full", "mode", "rows")),
-        *((name, "<f4") for name in ("margin_m", "h_i", "regulation")),
+        ("margin_m", "<f4"),
+        *((name, "<u4") for name in ("mode", "rows", "obstacle_rows", "failing")),
+        ("horizon_s", "<f4"),
+        ("violation_m_s", "<f4"),
         ("counted", "<u4"),
+        *((name, "<u4") for name in ("boxes", "hulls", "planes", "made", "exponentials", "soft")),
     ]
 )
 TICKS = {

@@ -22,7 +22,7 @@ import numpy as np
 
 HERE = Path(__file__).resolve().parent
 SOURCES = HERE.parents[1] / "native/onboard/fuzz"
-TARGETS = ("map", "tiles", "polytope", "chord", "dr_acbf", "geofence", "links")
+TARGETS = ("map", "tiles", "polytope", "chord", "dr_acbf", "geofence", "links", "stack")
 EMPTY = "int LLVMFuzzerTestOneInput(const unsigned char *d, unsigned long n) { return !d && n; }"
 LONGEST = 16_000  # bytes of an input
 
@@ -90,7 +90,7 @@ def write_seeds(folder: Path) -> None:
     for target in TARGETS:
         (folder / target).mkdir(parents=True, exist_ok=True)
     for k, image in enumerate(images()):
-        for target in ("map", "polytope", "chord", "geofence"):
+        for target in ("map", "polytope", "chord", "geofence", "stack"):
             numbers = rng.integers(0, 256, 900, np.uint8)
             head = struct.pack("<BH", 0, len(image))
             (folder / target / f"seed-{k}").write_bytes(head + image + numbers.tobytes())

@@ -5,14 +5,14 @@
  *                alula_tiles_select
  *   polytope-cbf alula_polytope_cbf_open    velocity commands among the map's hulls
  *                alula_polytope_cbf_filter
- *   dr-acbf      alula_dr_acbf_init         acceleration commands among moving obstacles and walls
- *                alula_dr_acbf_filter
  *   chord        alula_chord_open           the same for a vehicle that follows velocities with a lag
  *                alula_chord_filter
+ *   dr-acbf      alula_dr_acbf_init         acceleration commands among moving obstacles and walls
+ *                alula_dr_acbf_filter
  *   geofence     alula_geofence_init        throttle and rates of a pilot, inside a box or polytope, outside the map
  *                alula_geofence_filter
- *   stack        alula_stack_init           these filters one after the other, from velocities to throttle and rates
- *                alula_stack_filter
+ *   stack        alula_stack_init           velocities of a vehicle that lags, among hulls and moving obstacles, in a
+ *                alula_stack_filter         fence: one projection on all rows
  *
  * Every filter is a struct that the caller owns. Set-up checks every parameter and returns an alula_status; a tick
  * takes the state and the nominal input and returns a status and the command to fly. No heap, no recursion,
@@ -25,6 +25,7 @@
 #ifndef ALULA_H
 #define ALULA_H
 
+#include "alula_cascade.h"
 #include "alula_chord.h"
 #include "alula_dr_acbf.h"
 #include "alula_geofence.h"

@@ -1,5 +1,4 @@
-#include "alula_chord.h"
-
+#include "chord_rows.h"
 #include "polytope_walk.h"
 #include "sorted.h"
 #include "vector.h"
@@ -11,6 +10,7 @@
 #define FLAT 1.0e-5F            /* length of a normal without a direction */
 #define ROUNDING 1.0e-5F        /* more than the relative rounding of sums of a few numbers */
 #define SPEED_TOLERANCE 1.0001F /* of the result */
+#define FENCE_ROUNDING 4.8e-7F  /* more than the relative rounding of a face's value */
 
 /* An affine function n . s - d with its values at the ends of the chord, each at most the true one. */
 typedef struct {
@@ -125,31 +125,65 @@ static void add(alula_chord* chord, const float normal[3], float bound, float sp
   chord->row[at].bound = bound;
 }
 
-/* The row of a hull; 0 for one without a direction. */
-static int consider(alula_chord* chord, const alula_walk* walk, const float p[3], const float q[3], float hard,
-                    int is_taking_off, float* left) {
+/* Adds the row of an affine function that is positive on this side; 0 for one without a direction. */
+static int bind(alula_chord* chord, const affine* a, float spare, float r, float* left) {
   const alula_polytope_cbf_config* c = &chord->hulls.config;
-  const float slack = chord->hulls.map.slack_m, r = c->radius_m + slack;
-  alula_polytope_work* work = &chord->hulls.work;
-  affine a = separating(work, walk, p, q, slack);
-  const float spare = least_of(&a) - r;
-  if (c->beta * spare >= c->v_max * ALULA_SPEED_ROUNDING) return 1;
   float bound = c->beta * spare;
   if (spare < 0.0F) {
-    a = hard >= r ? entered(work, walk, p, q, r) : largest_at(work, walk, p, q, 0, is_taking_off && hard <= 0.0F);
     const float gain = RETURN_GAIN > c->beta * chord->lag_s ? RETURN_GAIN / chord->lag_s : c->beta;
-    bound = (a.at_q - r) * (gain * c->dt_s < 1.0F ? gain : 1.0F / c->dt_s); /* 1 / 0 is not flown */
-    if (bound > 0.0F) bound = c->beta * (a.at_q - r);                       /* q is outside of that plane */
+    bound = (a->at_q - r) * (gain * c->dt_s < 1.0F ? gain : 1.0F / c->dt_s); /* 1 / 0 is not flown */
+    if (bound > 0.0F) bound = c->beta * (a->at_q - r);                       /* q is outside of that plane */
     if (bound < -0.5F * c->v_max) bound = -0.5F * c->v_max;
   }
-  const float length = norm(a.normal);
+  const float length = norm(a->normal);
   if (!(length > FLAT)) return 0;
-  const float outward[3] = {-a.normal[0] / length, -a.normal[1] / length, -a.normal[2] / length};
+  const float outward[3] = {-a->normal[0] / length, -a->normal[1] / length, -a->normal[2] / length};
   add(chord, outward, bound / length, spare, left);
   return 1;
 }
 
-static void limit_speed(float u[3], float most) {
+static int cannot_bind(const alula_chord* chord, float spare) {
+  const alula_polytope_cbf_config* c = &chord->hulls.config;
+  return c->beta * spare >= c->v_max * ALULA_SPEED_ROUNDING;
+}
+
+/* The row of a hull; 0 for one without a direction. */
+static int consider(alula_chord* chord, const alula_walk* walk, const float p[3], const float q[3], float hard,
+                    int is_taking_off, float* left) {
+  const float slack = chord->hulls.map.slack_m, r = chord->hulls.config.radius_m + slack;
+  alula_polytope_work* work = &chord->hulls.work;
+  affine a = separating(work, walk, p, q, slack);
+  const float spare = least_of(&a) - r;
+  if (cannot_bind(chord, spare)) return 1;
+  if (spare < 0.0F)
+    a = hard >= r ? entered(work, walk, p, q, r) : largest_at(work, walk, p, q, 0, is_taking_off && hard <= 0.0F);
+  return bind(chord, &a, spare, r, left);
+}
+
+/* A face n . s <= d of the fence, seen from inside: d - n . s. */
+static void consider_face(alula_chord* chord, const float n[3], float d, const float p[3], const float q[3],
+                          float* left) {
+  const float slack = chord->hulls.map.slack_m + FENCE_ROUNDING * (absolute(d) + chord->hulls.map.extent_m);
+  const float r = chord->hulls.config.radius_m + slack;
+  const affine a = {{-n[0], -n[1], -n[2]}, d - dot(n, p), d - dot(n, q)};
+  const float spare = least_of(&a) - r;
+  if (!cannot_bind(chord, spare)) (void)bind(chord, &a, spare, r, left);
+}
+
+static void consider_fence(alula_chord* chord, const alula_fence* fence, const float p[3], const float q[3],
+                           float* left) {
+  for (int i = 0; fence->has_box && i < 3; ++i) {
+    float n[3] = {0.0F, 0.0F, 0.0F};
+    n[i] = -1.0F;
+    consider_face(chord, n, -fence->lower[i], p, q, left);
+    n[i] = 1.0F;
+    consider_face(chord, n, fence->upper[i], p, q, left);
+  }
+  for (uint32_t l = 0; l < fence->face_count; ++l)
+    consider_face(chord, fence->face[l], fence->face[l][3], p, q, left);
+}
+
+void alula_chord_limit(float u[3], float most) {
   float largest = 0.0F; /* u may be so large that its square overflows */
   for (int i = 0; i < 3; ++i)
     if (absolute(u[i]) > largest) largest = absolute(u[i]);
@@ -171,9 +205,15 @@ static void stop(alula_polytope_result* result) {
   result->fraction = 0.0F;
 }
 
-/* Collects the rows of all hulls that matter; 0 for a damaged map or a hull without a direction. */
-static int find_rows(alula_chord* chord, const float p[3], const float q[3], int is_taking_off,
-                     alula_polytope_result* result, float* left) {
+void alula_chord_clear(alula_polytope_result* result) {
+  stop(result);
+  result->margin_m = result->hard_margin_m = -FLT_MAX;
+  result->active = ALULA_NO_HULL;
+}
+
+/* Collects the rows of all hulls and faces that matter; 0 for a damaged map or a hull without a direction. */
+static int collect(alula_chord* chord, const alula_fence* fence, const float p[3], const float q[3],
+                   int is_taking_off, alula_polytope_result* result, float* left) {
   static const alula_polytope_work NONE = {0U, 0U, 0U, 0U, 0U};
   alula_polytope_cbf* hulls = &chord->hulls;
   const alula_polytope_cbf_config* c = &hulls->config;
@@ -183,46 +223,56 @@ static int find_rows(alula_chord* chord, const float p[3], const float q[3], int
   alula_walk walk;
   float hard;
   int has_directions = 1;
-  chord->count = chord->soft = 0U;
   hulls->work = NONE;
   hulls->used_before = hulls->used;
   hulls->used = 0U;
   result->margin_m = result->hard_margin_m = reach - c->radius_m;
   alula_walk_forget(hulls);
-  if (hulls->map.hull_count == 0U) return 1;
-  alula_walk_begin(hulls, &walk);
-  while (alula_walk_next(hulls, &rule, p, &walk)) {
-    if (!alula_walk_planes(hulls, &rule, p, &walk, &hard)) continue;
-    if (!consider(chord, &walk, p, q, hard, is_taking_off, left)) has_directions = 0;
-    if (hard - c->radius_m < result->hard_margin_m) {
-      result->hard_margin_m = hard - c->radius_m;
-      result->active = walk.hull;
+  if (fence) consider_fence(chord, fence, p, q, left);
+  if (hulls->map.hull_count > 0U) {
+    alula_walk_begin(hulls, &walk);
+    while (alula_walk_next(hulls, &rule, p, &walk)) {
+      if (!alula_walk_planes(hulls, &rule, p, &walk, &hard)) continue;
+      if (!consider(chord, &walk, p, q, hard, is_taking_off, left)) has_directions = 0;
+      if (hard - c->radius_m < result->hard_margin_m) {
+        result->hard_margin_m = hard - c->radius_m;
+        result->active = walk.hull;
+      }
     }
   }
   if (chord->count > 0U && chord->spare[0] < result->margin_m) result->margin_m = chord->spare[0];
   return has_directions && !hulls->is_damaged;
 }
 
-static alula_filter_status filter(alula_chord* chord, const float p[3], const float v[3], const float u_nom[3],
-                                  int is_taking_off, alula_polytope_result* result) {
+int alula_chord_find_rows(alula_chord* chord, const alula_fence* fence, const float p[3], const float v[3],
+                          int is_taking_off, float* speed, alula_polytope_result* result) {
   const alula_polytope_cbf_config* c = &chord->hulls.config;
-  float q[3], left = FLT_MAX, speed = c->v_max;
+  float q[3], left = FLT_MAX;
   for (int i = 0; i < 3; ++i) q[i] = p[i] + chord->lag_s * v[i];
-  if (!is_within(p, chord->hulls.map.extent_m) || !is_within(q, chord->hulls.map.extent_m)) {
-    return ALULA_FILTER_REFUSED;
-  }
-  if (!find_rows(chord, p, q, is_taking_off, result, &left)) return ALULA_FILTER_REFUSED;
+  chord->count = chord->soft = 0U;
+  *speed = c->v_max;
+  if (!is_within(p, chord->hulls.map.extent_m) || !is_within(q, chord->hulls.map.extent_m)) return 0;
+  if (!collect(chord, fence, p, q, is_taking_off, result, &left)) return 0;
   if (left < FLT_MAX) {
-    if (!(left > 0.0F)) return ALULA_FILTER_REFUSED; /* more hulls in the margin than rows */
-    if (c->beta * left < speed) speed = c->beta * left;
+    if (!(left > 0.0F)) return 0; /* more hulls in the margin than rows */
+    if (c->beta * left < *speed) *speed = c->beta * left;
   }
   while (chord->soft < chord->count && chord->spare[chord->soft] < 0.0F) ++chord->soft;
-  float wanted[3] = {u_nom[0], u_nom[1], u_nom[2]};
-  limit_speed(wanted, speed);
+  return 1;
+}
+
+void alula_chord_project(const alula_chord* chord, const float wanted[3], float speed,
+                         alula_polytope_result* result) {
+  float within[3] = {wanted[0], wanted[1], wanted[2]};
   alula_projection found;
-  alula_project_least_violation(chord->row, chord->count, chord->soft, speed, wanted, &found);
+  alula_chord_limit(within, speed);
+  alula_project_least_violation(chord->row, chord->count, chord->soft, speed, within, &found);
+  alula_chord_put(chord, found.a, speed, result);
+}
+
+void alula_chord_put(const alula_chord* chord, const float found[3], float speed, alula_polytope_result* result) {
   result->fraction = 1.0F;
-  for (int i = 0; i < 3; ++i) result->u[i] = found.a[i];
+  for (int i = 0; i < 3; ++i) result->u[i] = found[i];
   const float length = norm(result->u);
   if (length > speed) {
     result->fraction = speed / length;
@@ -232,6 +282,14 @@ static alula_filter_status filter(alula_chord* chord, const float p[3], const fl
     if (dot(chord->row[i].normal, result->u) <= chord->row[i].bound) continue;
     stop(result);
     break;
+  }
+}
+
+alula_filter_status alula_chord_status(const alula_chord* chord, const float u_nom[3],
+                                       alula_polytope_result* result) {
+  if (!is_within(result->u, SPEED_TOLERANCE * chord->hulls.config.v_max)) {
+    stop(result);
+    return ALULA_FILTER_REFUSED;
   }
   if (chord->soft > 0U) return ALULA_FILTER_RECOVERING;
   int is_same = 1;
@@ -255,15 +313,12 @@ alula_status alula_chord_open(alula_chord* chord, const alula_map* image, float 
 
 alula_filter_status alula_chord_filter(alula_chord* chord, const float x[3], const float v[3], const float u_nom[3],
                                        int is_taking_off, alula_polytope_result* result) {
+  float speed;
   if (!result) return ALULA_FILTER_REFUSED;
-  stop(result);
-  result->margin_m = result->hard_margin_m = -FLT_MAX;
-  result->active = ALULA_NO_HULL;
+  alula_chord_clear(result);
   if (!chord || !x || !v || !u_nom) return ALULA_FILTER_REFUSED;
   if (!is_within(u_nom, FLT_MAX)) return ALULA_FILTER_REFUSED;
-  const alula_filter_status status = filter(chord, x, v, u_nom, is_taking_off, result);
-  const float most = SPEED_TOLERANCE * chord->hulls.config.v_max;
-  if (status != ALULA_FILTER_REFUSED && is_within(result->u, most)) return status;
-  stop(result);
-  return ALULA_FILTER_REFUSED;
+  if (!alula_chord_find_rows(chord, 0, x, v, is_taking_off, &speed, result)) return ALULA_FILTER_REFUSED;
+  alula_chord_project(chord, u_nom, speed, result);
+  return alula_chord_status(chord, u_nom, result);
 }

@@ -1,5 +1,4 @@
-#include "alula_dr_acbf.h"
-
+#include "dr_acbf_steps.h"
 #include "vector.h"
 
 #define PEAK 0.64479396F /* sqrt(2) e^(-pi / 4): peak deceleration over v_0 / H along an active row */
@@ -104,8 +103,7 @@ void alula_dr_acbf_flown(alula_dr_acbf* filter, const float command[3]) {
   alula_execute(&filter->config, command, filter->executed);
 }
 
-/* Sets the rows of the obstacles at one horizon, before those of the walls; returns the minimum bound. */
-static float set_bounds(alula_dr_acbf* filter, float horizon) {
+float alula_dr_acbf_set_bounds(alula_dr_acbf* filter, float horizon) {
   float least = FLT_MAX;
   uint32_t row = 0U;
   for (uint32_t i = 0; i < filter->avoidance.count; ++i) {
@@ -135,31 +133,47 @@ static int is_feasible(const alula_dr_acbf* filter, const float desired[3], alul
   return found->feasible;
 }
 
-/* Finds the feasible horizon with the largest minimum bound, testing horizons in that order. */
-static int search(alula_dr_acbf* filter, int longest_only, const float desired[3], float* horizon,
-                  alula_projection* found) {
+void alula_dr_acbf_horizons(alula_dr_acbf* filter, int longest_only, alula_horizons* horizons) {
   const alula_dr_acbf_config* c = &filter->config;
   const float longest = c->avoidance.h_max_s;
   const uint32_t count = longest_only ? 1U : c->horizons;
-  float at[ALULA_HORIZONS], least[ALULA_HORIZONS];
+  horizons->count = count;
+  horizons->tried = 0U;
   for (uint32_t k = 0; k < count; ++k) {
-    at[k] = count == 1U ? longest : c->h_min_s + (longest - c->h_min_s) * (float)k / (float)(count - 1U);
-    least[k] = set_bounds(filter, at[k]);
+    horizons->at[k] = count == 1U ? longest : c->h_min_s + (longest - c->h_min_s) * (float)k / (float)(count - 1U);
+    horizons->least[k] = alula_dr_acbf_set_bounds(filter, horizons->at[k]);
   }
-  *horizon = longest;
-  for (uint32_t tried = 0; tried < count; ++tried) {
-    uint32_t best = 0U;
-    for (uint32_t k = 1U; k < count; ++k)
-      if (least[k] > least[best]) best = k;
-    (void)set_bounds(filter, at[best]);
-    if (tried == 0U) *horizon = at[best];
-    if (is_feasible(filter, desired, found)) {
-      *horizon = at[best];
-      return 1;
-    }
-    least[best] = -FLT_MAX;
+}
+
+int alula_dr_acbf_next(alula_dr_acbf* filter, alula_horizons* horizons, float* horizon_s) {
+  uint32_t best = 0U;
+  if (horizons->tried == horizons->count) return 0;
+  for (uint32_t k = 1U; k < horizons->count; ++k)
+    if (horizons->least[k] > horizons->least[best]) best = k;
+  ++horizons->tried;
+  horizons->least[best] = -FLT_MAX;
+  *horizon_s = horizons->at[best];
+  (void)alula_dr_acbf_set_bounds(filter, *horizon_s);
+  return 1;
+}
+
+void alula_dr_acbf_count(alula_dr_acbf* filter, int holds) {
+  filter->failing = holds ? 0U : filter->failing + (filter->failing < 1000000U ? 1U : 0U);
+}
+
+/* Finds the feasible horizon with the largest minimum bound, testing horizons in that order. */
+static int search(alula_dr_acbf* filter, int longest_only, const float desired[3], float* horizon,
+                  alula_projection* found) {
+  alula_horizons horizons;
+  float at;
+  alula_dr_acbf_horizons(filter, longest_only, &horizons);
+  while (alula_dr_acbf_next(filter, &horizons, &at)) {
+    if (horizons.tried == 1U) *horizon = at;
+    if (!is_feasible(filter, desired, found)) continue;
+    *horizon = at;
+    return 1;
   }
-  (void)set_bounds(filter, *horizon);
+  (void)alula_dr_acbf_set_bounds(filter, *horizon);
   return 0;
 }
 
@@ -187,23 +201,15 @@ static float violation_of(const alula_dr_acbf* filter, uint32_t first, const flo
   return most;
 }
 
-alula_filter_status alula_dr_acbf_filter(alula_dr_acbf* filter, const alula_vehicle_state* vehicle,
-                                         const alula_track* track, uint32_t count, const alula_wall* wall,
-                                         uint32_t wall_count, const float nominal[3], alula_dr_acbf_result* result) {
-  if (!result) return ALULA_FILTER_REFUSED;
-  const alula_dr_acbf_result nothing = {.violation = -FLT_MAX};
-  *result = nothing;
-  if (!filter) return ALULA_FILTER_REFUSED;
+alula_status alula_dr_acbf_meet(alula_dr_acbf* filter, const alula_vehicle_state* vehicle, const alula_track* track,
+                                uint32_t count, const alula_wall* wall, uint32_t wall_count, const float nominal[3],
+                                alula_guidance* guidance, int* longest_only) {
   const alula_dr_acbf_config* c = &filter->config;
-  alula_guidance* guidance = &result->guidance;
   const alula_status step =
       alula_avoidance_step(&filter->avoidance, vehicle, track, count, wall, wall_count, nominal, guidance);
-  if (step != ALULA_READY) {
-    *result = nothing;
-    return ALULA_FILTER_REFUSED;
-  }
+  if (step != ALULA_READY) return step;
   /* Also when a manoeuvre follows the one that ended in this tick. */
-  const int enters = guidance->mode == ALULA_AVOID && filter->avoidance.ticks_in_mode == 1U;
+  *longest_only = guidance->mode == ALULA_AVOID && filter->avoidance.ticks_in_mode == 1U;
   const int binds = c->rows_before_warning || guidance->mode != ALULA_NOMINAL;
 
   filter->row_count = 0U;
@@ -213,7 +219,8 @@ alula_filter_status alula_dr_acbf_filter(alula_dr_acbf* filter, const alula_vehi
       alula_encounter* m = filter->avoidance.encounter + i;
       m->has_row = m->active || (c->receding_rows && m->distance_m < c->avoidance.range_m) ? 1U : 0U;
     }
-    alula_allocate_risk(filter->avoidance.encounter, count, enters ? c->risk * c->warned_risk : c->risk, lambda);
+    alula_allocate_risk(filter->avoidance.encounter, count, *longest_only ? c->risk * c->warned_risk : c->risk,
+                        lambda);
     for (uint32_t i = 0; i < count; ++i) {
       const alula_encounter* m = filter->avoidance.encounter + i;
       if (!m->has_row) continue;
@@ -221,6 +228,24 @@ alula_filter_status alula_dr_acbf_filter(alula_dr_acbf* filter, const alula_vehi
       for (int k = 0; k < 3; ++k) row->normal[k] = m->los[k];
       lambda[i] = alula_cantelli(lambda[i]);
     }
+  }
+  return ALULA_READY;
+}
+
+alula_filter_status alula_dr_acbf_filter(alula_dr_acbf* filter, const alula_vehicle_state* vehicle,
+                                         const alula_track* track, uint32_t count, const alula_wall* wall,
+                                         uint32_t wall_count, const float nominal[3], alula_dr_acbf_result* result) {
+  if (!result) return ALULA_FILTER_REFUSED;
+  const alula_dr_acbf_result nothing = {.violation = -FLT_MAX};
+  *result = nothing;
+  if (!filter) return ALULA_FILTER_REFUSED;
+  const alula_dr_acbf_config* c = &filter->config;
+  alula_guidance* guidance = &result->guidance;
+  int enters;
+  if (alula_dr_acbf_meet(filter, vehicle, track, count, wall, wall_count, nominal, guidance, &enters) !=
+      ALULA_READY) {
+    *result = nothing;
+    return ALULA_FILTER_REFUSED;
   }
   const uint32_t obstacles = filter->row_count;
   for (uint32_t i = 0; i < wall_count; ++i) {
@@ -248,7 +273,7 @@ alula_filter_status alula_dr_acbf_filter(alula_dr_acbf* filter, const alula_vehi
       found.violation = violation_of(filter, 0U, found.a);
     }
   }
-  filter->failing = holds ? 0U : filter->failing + (filter->failing < 1000000U ? 1U : 0U);
+  alula_dr_acbf_count(filter, holds);
   if (filter->failing > c->failing_ticks && guidance->mode != ALULA_AVOID) {
     float desired[3];
     brake_and_descend(c, vehicle, desired);

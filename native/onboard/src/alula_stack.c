@@ -1,90 +1,25 @@
 #include "alula_stack.h"
 
-#include "polytope_walk.h"
-#include "racer_steps.h"
-#include "stack_walls.h"
+#include "chord_rows.h"
+#include "dr_acbf_steps.h"
+#include "vector.h"
 
-#define LEAST_GAIN_RATIO 4.0F /* d'' + k d' + k beta d = 0 does not oscillate for k >= 4 beta */
-#define MOST_FALL 0.95F       /* a_max / g: the thrust of a fall stays well defined */
+#define LENGTHENED 1.00001F /* more than the relative rounding of a length or a product */
+#define RELAXED 4.0F        /* margins by which soft rows are relaxed beyond the minimum, to leave room */
 
-static const alula_stack_result NOTHING = {.status = ALULA_FILTER_REFUSED};
+static const alula_stack_result NOTHING = {.status = ALULA_FILTER_REFUSED, .violation_m_s = -FLT_MAX};
 
 alula_stack_config alula_stack_defaults(void) {
-  alula_stack_config config = {.parts = 7U,
-                               .takes = ALULA_STACK_VELOCITY,
-                               .gives = ALULA_STACK_STICKS,
-                               .polytope_cbf = ALULA_POLYTOPE_CBF_DEFAULTS,
-                               .extent_m = 0.0F,
-                               .dr_acbf = ALULA_DR_ACBF_DEFAULTS,
-                               .geofence = ALULA_GEOFENCE_DEFAULTS,
-                               .velocity_gain = 2.5F,
-                               .most_walls = 8U};
-  config.polytope_cbf.beta = 0.6F;
-  config.geofence.tick_s = config.dr_acbf.avoidance.dt_s;
+  alula_stack_config config = {.polytope_cbf = ALULA_POLYTOPE_CBF_DEFAULTS,
+                               .extent_m = 30.0F,
+                               .lag_s = 0.35F,
+                               .dr_acbf = ALULA_DR_ACBF_DEFAULTS};
+  config.polytope_cbf.radius_m = 0.15F;
+  config.dr_acbf.v_max = config.polytope_cbf.v_max;
+  config.dr_acbf.j_max = 0.0F; /* the lag is the vehicle's only delay */
+  config.dr_acbf.avoidance.clearance_m = 0.3F;
+  config.dr_acbf.avoidance.obstacle_braking = 0.0F; /* a ball does not brake */
   return config;
-}
-
-static int parts_are_in_order(const alula_stack_config* c) {
-  const uint32_t all = (1U << ALULA_STACK_PARTS) - 1U;
-  const uint32_t takes = (uint32_t)c->takes, gives = (uint32_t)c->gives;
-  if (c->parts == 0U || c->parts > all || takes > gives || gives > (uint32_t)ALULA_STACK_STICKS) return 0;
-  if ((c->parts >> ALULA_STACK_POLYTOPE_CBF & 1U) != 0U && c->takes != ALULA_STACK_VELOCITY) return 0;
-  if ((c->parts >> ALULA_STACK_GEOFENCE & 1U) != 0U && c->gives != ALULA_STACK_STICKS) return 0;
-  if ((c->parts >> ALULA_STACK_DR_ACBF & 1U) == 0U) return 1;
-  return c->takes != ALULA_STACK_STICKS && c->gives != ALULA_STACK_VELOCITY;
-}
-
-/* It also brakes for a nominal acceleration that is refused. */
-static int has_velocity_loop(const alula_stack_config* c) {
-  return c->takes != ALULA_STACK_STICKS && c->gives != ALULA_STACK_VELOCITY;
-}
-
-static int steps_are_equal(const alula_stack_config* c) {
-  const float step[ALULA_STACK_PARTS] = {c->polytope_cbf.dt_s, c->dr_acbf.avoidance.dt_s, c->geofence.tick_s};
-  float first = 0.0F;
-  for (uint32_t k = 0; k < ALULA_STACK_PARTS; ++k) {
-    if ((c->parts >> k & 1U) == 0U) continue;
-    if (first == 0.0F) first = step[k];
-    if (!(step[k] == first && step[k] > 0.0F)) return 0;
-  }
-  return !has_velocity_loop(c) || c->velocity_gain * first <= 1.0F;
-}
-
-/* Checks the loops between the parts; the model is valid. */
-static int loops_are_good(const alula_stack_config* c) {
-  const float a = c->dr_acbf.avoidance.a_max, g = c->geofence.model.gravity;
-  if (!has_velocity_loop(c)) return 1;
-  if (!(c->velocity_gain > 0.0F && c->velocity_gain <= ALULA_LARGEST)) return 0;
-  if ((c->parts >> ALULA_STACK_POLYTOPE_CBF & 1U) != 0U &&
-      !(c->velocity_gain >= LEAST_GAIN_RATIO * c->polytope_cbf.beta))
-    return 0;
-  if (!(a > 0.0F && a <= ALULA_LARGEST)) return 0;
-  if (c->gives != ALULA_STACK_STICKS) return 1;
-  const float force[3] = {a, a, g + a};
-  return a <= MOST_FALL * g && alula_racer_thrust(&c->geofence.model, 1.0F) >= norm(force);
-}
-
-/* polytope-cbf constrains the velocity towards the nearest hulls only: a vehicle that lags cannot stop before the
- * next.
- */
-static int hulls_are_kept_by_another(const alula_stack* stack, const alula_fence* fence) {
-  if (!alula_stack_has(stack, ALULA_STACK_POLYTOPE_CBF) || stack->config.gives == ALULA_STACK_VELOCITY) return 1;
-  if (alula_stack_has(stack, ALULA_STACK_DR_ACBF)) return 1;
-  return alula_stack_has(stack, ALULA_STACK_GEOFENCE) && fence->keep_out;
-}
-
-static alula_status set_up_parts(alula_stack* stack, const alula_map* hulls, const alula_fence* fence) {
-  const alula_stack_config* c = &stack->config;
-  alula_status status = ALULA_READY;
-  if (alula_stack_has(stack, ALULA_STACK_POLYTOPE_CBF))
-    status = alula_polytope_cbf_open(&stack->polytope_cbf, hulls, c->extent_m, &c->polytope_cbf);
-  if (status == ALULA_READY && alula_stack_has(stack, ALULA_STACK_DR_ACBF))
-    status = alula_dr_acbf_init(&stack->dr_acbf, &c->dr_acbf);
-  if (status != ALULA_READY || c->gives != ALULA_STACK_STICKS) return status;
-  if (alula_stack_has(stack, ALULA_STACK_GEOFENCE)) return alula_geofence_init(&stack->geofence, fence, &c->geofence);
-  alula_geofence_conditions unused;
-  status = alula_geofence_examine(&c->geofence, &unused);
-  return status == ALULA_BAD_PARAMETER ? status : ALULA_READY; /* without a geofence only its ranges matter */
 }
 
 alula_status alula_stack_init(alula_stack* stack, const alula_map* hulls, const alula_fence* fence,
@@ -92,244 +27,189 @@ alula_status alula_stack_init(alula_stack* stack, const alula_map* hulls, const 
   if (!stack) return ALULA_BAD_POINTER;
   stack->is_ready = 0;
   if (!config) return ALULA_BAD_POINTER;
-  if (!parts_are_in_order(config) || !steps_are_equal(config) || config->most_walls > ALULA_WALLS)
-    return ALULA_BAD_PARAMETER;
-  stack->config = *config;
-  if (alula_stack_has(stack, ALULA_STACK_POLYTOPE_CBF) && !hulls) return ALULA_BAD_POINTER;
-  if (alula_stack_has(stack, ALULA_STACK_GEOFENCE) && !fence) return ALULA_BAD_POINTER;
-  if (!hulls_are_kept_by_another(stack, fence)) return ALULA_BAD_PARAMETER;
-  const alula_status status = set_up_parts(stack, hulls, fence);
+  alula_status status =
+      alula_chord_open(&stack->chord, hulls, config->extent_m, &config->polytope_cbf, config->lag_s);
+  if (status == ALULA_READY) status = alula_dr_acbf_init(&stack->dr_acbf, &config->dr_acbf);
+  if (status == ALULA_READY && fence) status = alula_fence_check(fence);
   if (status != ALULA_READY) return status;
-  if (!loops_are_good(config)) return ALULA_BAD_PARAMETER;
-  stack->hover = config->gives == ALULA_STACK_STICKS ? alula_racer_hover_throttle(&config->geofence.model) : 0.0F;
-  if (alula_stack_has(stack, ALULA_STACK_POLYTOPE_CBF)) alula_walk_forget(&stack->polytope_cbf);
+  const float dt = config->polytope_cbf.dt_s, lag = config->lag_s;
+  if (fence && fence->keep_out) return ALULA_BAD_PARAMETER;
+  if (config->dr_acbf.avoidance.dt_s != dt || !(lag >= dt)) return ALULA_BAD_PARAMETER;
+  if (!(2.0F * config->polytope_cbf.v_max <= LENGTHENED * lag * config->dr_acbf.avoidance.a_max))
+    return ALULA_BAD_PARAMETER;
+  stack->fence = fence;
+  stack->braking_lag_s = LENGTHENED * dt / (1.0F - alula_expf(-dt / lag));
   stack->is_ready = 1;
   return ALULA_READY;
 }
 
 alula_status alula_stack_move(alula_stack* stack, const alula_map* hulls) {
   if (!stack || !stack->is_ready || !hulls) return ALULA_BAD_POINTER;
-  if (!alula_stack_has(stack, ALULA_STACK_POLYTOPE_CBF)) return ALULA_READY;
-  return alula_polytope_cbf_move(&stack->polytope_cbf, hulls);
+  return alula_polytope_cbf_move(&stack->chord.hulls, hulls);
 }
 
 void alula_stack_reset(alula_stack* stack) {
-  if (!stack || !stack->is_ready) return;
-  if (alula_stack_has(stack, ALULA_STACK_DR_ACBF)) alula_dr_acbf_reset(&stack->dr_acbf);
-  if (alula_stack_has(stack, ALULA_STACK_GEOFENCE)) alula_geofence_reset(&stack->geofence);
+  if (stack && stack->is_ready) alula_dr_acbf_reset(&stack->dr_acbf);
 }
 
-static int are_within(const float v[3], float limit) {
-  return absolute(v[0]) <= limit && absolute(v[1]) <= limit && absolute(v[2]) <= limit; /* not for NaN */
+/* Also not for NaN. */
+static int is_finite(const float x[3]) {
+  return alula_is_finite(x[0]) && alula_is_finite(x[1]) && alula_is_finite(x[2]);
 }
 
-/* gain (v_d - v), shortened to |a|_inf <= a_max; both velocities are within ALULA_LARGEST. */
-static void follow(const alula_stack_config* c, const float v_d[3], const float v[3], float a[3]) {
-  const float limit = c->dr_acbf.avoidance.a_max;
-  float largest = 0.0F;
-  for (int k = 0; k < 3; ++k) {
-    a[k] = c->velocity_gain * (v_d[k] - v[k]);
-    if (absolute(a[k]) > largest) largest = absolute(a[k]);
+/* Puts the rows of hulls and fence behind those of the obstacles, with the soft ones relaxed by the minimum that
+ * gives them a common point, `found`; returns the number of all rows. */
+static uint32_t gather(alula_stack* stack, uint32_t obstacles, const float wanted[3], float speed,
+                       alula_projection* found) {
+  const alula_chord* chord = &stack->chord;
+  float more = 0.0F;
+  if (chord->soft > 0U) {
+    alula_project_least_violation(chord->row, chord->count, chord->soft, speed, wanted, found);
+    more = (found->violation > 0.0F ? found->violation : 0.0F) + RELAXED * ALULA_HALF_SPACE_MARGIN * speed;
   }
-  if (!(largest > limit)) return;
-  const float scale = limit / largest;
-  for (int k = 0; k < 3; ++k) a[k] = clipped(scale * a[k], limit);
-}
-
-static void brake(const alula_stack_config* c, const float velocity[3], float a[3]) {
-  static const float AT_REST[3] = {0.0F, 0.0F, 0.0F};
-  a[0] = a[1] = a[2] = 0.0F;
-  if (are_within(velocity, ALULA_LARGEST)) follow(c, AT_REST, velocity, a);
-}
-
-static alula_filter_status filter_velocity(alula_stack* stack, const alula_stack_input* in, int has_nominal,
-                                           alula_stack_result* out) {
-  if (!has_nominal) return ALULA_FILTER_REFUSED;
-  if (!alula_stack_has(stack, ALULA_STACK_POLYTOPE_CBF)) {
-    for (int k = 0; k < 3; ++k) out->velocity[k] = in->nominal[k];
-    return ALULA_FILTER_OK;
+  for (uint32_t i = 0; i < chord->count; ++i) {
+    alula_half_space* row = stack->row + obstacles + i;
+    *row = chord->row[i];
+    if (i < chord->soft) row->bound += more;
   }
-  const alula_filter_status status =
-      alula_polytope_cbf_filter(&stack->polytope_cbf, in->state.position, in->nominal, &out->polytope_cbf);
-  for (int k = 0; k < 3; ++k) out->velocity[k] = out->polytope_cbf.u[k];
-  out->part[ALULA_STACK_POLYTOPE_CBF] = status;
-  return status;
+  return obstacles + chord->count;
 }
 
-/* Brakes as far as the stack's own walls allow. */
-static void brake_between_walls(alula_stack* stack, const alula_stack_input* in, uint32_t first, uint32_t count,
-                                float a[3]) {
-  const alula_stack_config* c = &stack->config;
-  alula_dr_acbf* filter = &stack->dr_acbf;
-  brake(c, in->state.velocity, a);
-  if (count > 0U) {
-    alula_projection found;
-    for (uint32_t i = 0; i < count; ++i) {
-      filter->row[i] = alula_wall_row(&filter->config, stack->wall + first + i, in->state.velocity, filter->executed,
-                                      filter->avoidance.command);
+/* The obstacles' rows for velocities, from those for accelerations; 0 if one of them is beyond the speed. */
+static int set_obstacle_rows(alula_stack* stack, const float velocity[3], uint32_t count, float speed) {
+  int can_hold = 1;
+  for (uint32_t i = 0; i < count; ++i) {
+    const alula_half_space* of = stack->dr_acbf.row + i;
+    alula_half_space* row = stack->row + i;
+    *row = *of;
+    row->bound =
+        dot(of->normal, velocity) + of->bound * (of->bound < 0.0F ? stack->braking_lag_s : stack->chord.lag_s);
+    if (row->bound < -speed) can_hold = 0;
+  }
+  return can_hold;
+}
+
+/* The point nearest to `wanted` with all rows and the speed; 0 if there is none. Planes that touch the sphere of the
+ * speed come behind the rows. */
+static int project(alula_stack* stack, uint32_t count, const float wanted[3], float speed, alula_projection* found) {
+  for (uint32_t cut = 0;; ++cut) {
+    alula_project_exact(stack->row, count, speed, wanted, found);
+    if (!found->feasible) return 0;
+    const float length = norm(found->a);
+    if (length <= LENGTHENED * speed || cut == ALULA_STACK_CUTS) return 1;
+    for (int k = 0; k < 3; ++k) stack->row[count].normal[k] = found->a[k] / length;
+    stack->row[count++].bound = speed;
+  }
+}
+
+/* The velocity among all rows; `count` of the obstacles. Returns whether these hold. */
+static int avoid(alula_stack* stack, const alula_stack_input* in, uint32_t count, int longest_only,
+                 const float desired[3], float speed, alula_stack_result* out) {
+  float wanted[3] = {desired[0], desired[1], desired[2]}, horizon;
+  alula_horizons horizons;
+  alula_projection found, out_of_margin;
+  int holds = 0;
+  alula_chord_limit(wanted, speed);
+  const uint32_t rows = gather(stack, count, wanted, speed, &out_of_margin);
+  alula_dr_acbf_horizons(&stack->dr_acbf, longest_only, &horizons);
+  while (!holds && alula_dr_acbf_next(&stack->dr_acbf, &horizons, &horizon)) {
+    if (horizons.tried == 1U) out->horizon_s = horizon;
+    holds = set_obstacle_rows(stack, in->velocity, count, speed) && project(stack, rows, wanted, speed, &found);
+    if (holds) out->horizon_s = horizon;
+  }
+  if (!holds) {
+    (void)alula_dr_acbf_set_bounds(&stack->dr_acbf, out->horizon_s);
+    (void)set_obstacle_rows(stack, in->velocity, count, speed);
+    if (stack->chord.soft == 0U) {
+      alula_project_least_violation(stack->row, rows, count, speed, wanted, &found);
+    } else {
+      found = out_of_margin;
     }
-    alula_project_least_violation(filter->row, count, count, c->dr_acbf.avoidance.a_max, a, &found);
-    for (int k = 0; k < 3; ++k) a[k] = found.a[k];
   }
-  alula_dr_acbf_flown(filter, a);
+  alula_chord_put(&stack->chord, found.a, speed, &out->chord);
+  for (uint32_t i = 0; i < count; ++i) {
+    const float excess = dot(stack->row[i].normal, out->chord.u) - stack->row[i].bound;
+    if (!(excess <= out->violation_m_s)) out->violation_m_s = excess;
+  }
+  return out->violation_m_s <= stack->dr_acbf.config.tolerance * stack->chord.lag_s;
 }
 
-static alula_filter_status filter_acceleration(alula_stack* stack, const alula_stack_input* in, float a[3],
-                                               alula_stack_result* out) {
+/* The wanted velocity of this tick, and the obstacles' rows without bounds; 0 if the obstacles are unknown. */
+static int look_around(alula_stack* stack, const alula_stack_input* in, const float nominal[3], float speed,
+                       float wanted[3], int* longest_only, alula_stack_result* out) {
+  const alula_chord* chord = &stack->chord;
+  const uint32_t count = chord->count < ALULA_WALLS ? chord->count : ALULA_WALLS;
+  const float keeps = chord->hulls.config.radius_m;
   alula_vehicle_state vehicle;
+  alula_wall wall[ALULA_WALLS];
+  float acceleration[3], within[3] = {nominal[0], nominal[1], nominal[2]};
+  alula_chord_limit(within, speed);
   for (int k = 0; k < 3; ++k) {
-    vehicle.position[k] = in->state.position[k];
-    vehicle.velocity[k] = in->state.velocity[k];
+    vehicle.position[k] = in->position[k];
+    vehicle.velocity[k] = in->velocity[k];
+    acceleration[k] = (within[k] - in->velocity[k]) / chord->lag_s;
   }
   for (int k = 0; k < 6; ++k) vehicle.covariance[k] = in->covariance[k];
-  const int has_walls = in->wall_count <= ALULA_WALLS && (in->wall_count == 0U || in->wall);
-  const uint32_t given = has_walls ? in->wall_count : 0U, left = ALULA_WALLS - given;
-  const uint32_t room = stack->config.most_walls < left ? stack->config.most_walls : left;
-  uint32_t found = 0U;
-  for (uint32_t i = 0; i < given; ++i) stack->wall[i] = in->wall[i];
-  if (are_within(vehicle.position, ALULA_LARGEST) && are_within(vehicle.velocity, ALULA_LARGEST))
-    found =
-        alula_stack_walls(stack, vehicle.position, vehicle.velocity, room, stack->wall + given, &out->walls_are_full);
-  out->walls = given + found;
-  alula_filter_status status = ALULA_FILTER_REFUSED;
-  if (has_walls)
-    status = alula_dr_acbf_filter(&stack->dr_acbf, &vehicle, in->track, in->track_count, stack->wall, given + found,
-                                  a, &out->dr_acbf);
-  if (status == ALULA_FILTER_REFUSED) {
-    brake_between_walls(stack, in, given, found, a);
-  } else {
-    for (int k = 0; k < 3; ++k) a[k] = out->dr_acbf.a[k];
+  for (uint32_t i = 0; i < count; ++i) {
+    for (int k = 0; k < 3; ++k) wall[i].normal[k] = -chord->row[i].normal[k];
+    wall[i].distance_m = chord->spare[i] + keeps;
   }
-  out->part[ALULA_STACK_DR_ACBF] = status;
-  return status;
-}
-
-/* Thrust and attitude for an acceleration in the box, at the current yaw. */
-static void fly_acceleration(const alula_stack_config* c, const alula_racer_state* measured, const float a[3],
-                             float yaw_rate, alula_racer_command* command) {
-  alula_racer_state state = *measured;
-  float axis[3], force[3] = {a[0], a[1], a[2] + c->geofence.model.gravity};
-  alula_racer_normalise(&state);
-  axis_of(state.attitude, axis);
-  command->throttle = alula_racer_throttle_for(&c->geofence.model, dot(force, axis));
-  const alula_backup_hold hold = alula_backup_hold_at(&state, 0.0F);
-  const float inverse = 1.0F / norm(force); /* the box leaves force[2] above 0 */
-  const float bx = inverse * (hold.cosine * force[0] + hold.sine * force[1]);
-  const float by = inverse * (hold.cosine * force[1] - hold.sine * force[0]);
-  const float w = __builtin_sqrtf(0.5F + 0.5F * inverse * force[2]), half = 0.5F / w;
-  /* q_d = (half_c, 0, 0, half_s) (w, -b_y / 2w, b_x / 2w, 0) */
-  const float x = -half * by, y = half * bx;
-  attitude_rates(c->geofence.backup.attitude_gain, hold.half_c * w, hold.half_c * x - hold.half_s * y,
-                 hold.half_c * y + hold.half_s * x, hold.half_s * w, state.attitude, command->rates);
-  command->rates[2] += yaw_rate;
-  limit_command(&c->geofence.model, command);
-}
-
-/* Reports to dr-acbf the acceleration that the geofence's command gives at this attitude, instead of its own. */
-static void report_flown(alula_stack* stack, const alula_racer_state* measured, const float executed[3],
-                         const alula_racer_command* command) {
-  alula_racer_state state = *measured;
-  float axis[3], flown[3];
-  alula_racer_normalise(&state);
-  axis_of(state.attitude, axis);
-  const float thrust = thrust_of(&stack->config.geofence.model, command->throttle);
+  if (alula_dr_acbf_meet(&stack->dr_acbf, &vehicle, in->track, in->track_count, wall, count, acceleration,
+                         &out->guidance, longest_only) != ALULA_READY) {
+    out->guidance = NOTHING.guidance;
+    return 0;
+  }
   for (int k = 0; k < 3; ++k) {
-    stack->dr_acbf.executed[k] = executed[k];
-    flown[k] = thrust * axis[k] - (k == 2 ? stack->config.geofence.model.gravity : 0.0F);
+    const int manoeuvres = out->guidance.mode != ALULA_NOMINAL;
+    wanted[k] = manoeuvres ? in->velocity[k] + chord->lag_s * out->guidance.desired[k] : nominal[k];
   }
-  alula_dr_acbf_flown(&stack->dr_acbf, flown);
+  return 1;
 }
 
-static alula_filter_status status_of(alula_geofence_status outcome) {
-  switch (outcome) {
-    case ALULA_GEOFENCE_PASSED:
-      return ALULA_FILTER_OK;
-    case ALULA_GEOFENCE_BLENDED:
-      return ALULA_FILTER_FILTERED;
-    case ALULA_GEOFENCE_BACKUP:
-    case ALULA_GEOFENCE_NO_PILOT:
-      return ALULA_FILTER_RECOVERING;
-    case ALULA_GEOFENCE_HAND_OVER:
-    case ALULA_GEOFENCE_REFUSED:
-    default:
-      return ALULA_FILTER_REFUSED;
-  }
-}
-
-static void raise_to(alula_filter_status* worst, alula_filter_status status) {
-  if (status > *worst) *worst = status;
-}
-
-/* Throttle and rates; `pilot` is null without a usable command. */
-static alula_filter_status filter_sticks(alula_stack* stack, const alula_stack_input* in, int is_valid,
-                                         const alula_racer_command* pilot, alula_stack_result* out) {
-  if (!alula_stack_has(stack, ALULA_STACK_GEOFENCE)) {
-    if (pilot) {
-      out->sticks = *pilot;
-      alula_racer_limit(&stack->config.geofence.model, &out->sticks);
-      return ALULA_FILTER_OK;
-    }
-    out->sticks.throttle = stack->hover;
-    out->sticks.rates[0] = out->sticks.rates[1] = out->sticks.rates[2] = 0.0F;
-    return ALULA_FILTER_REFUSED;
-  }
-  out->outcome = alula_geofence_filter(&stack->geofence, is_valid ? &in->state : 0, pilot, &out->geofence);
-  out->sticks = out->geofence.command;
-  out->part[ALULA_STACK_GEOFENCE] = status_of(out->outcome);
-  return out->part[ALULA_STACK_GEOFENCE];
+static void report_flown(alula_stack* stack, const alula_stack_input* in, const float u[3]) {
+  float a[3];
+  for (int k = 0; k < 3; ++k) a[k] = (u[k] - in->velocity[k]) / stack->chord.lag_s;
+  alula_dr_acbf_flown(&stack->dr_acbf, a);
 }
 
 static alula_filter_status filter(alula_stack* stack, const alula_stack_input* in, alula_stack_result* out) {
-  const alula_stack_config* c = &stack->config;
-  alula_filter_status worst = ALULA_FILTER_OK;
-  const int is_kind = in->kind == c->takes;
-  const int has_yaw = c->gives != ALULA_STACK_STICKS || alula_is_finite(in->yaw_rate_rad_s);
-  const int has_nominal = is_kind && has_yaw && are_within(in->nominal, FLT_MAX); /* of kinds but sticks */
-  if (c->takes == ALULA_STACK_VELOCITY) raise_to(&worst, filter_velocity(stack, in, has_nominal, out));
-  if (c->gives == ALULA_STACK_VELOCITY) return worst;
-
-  float a[3] = {0.0F, 0.0F, 0.0F}, executed[3] = {0.0F, 0.0F, 0.0F};
-  const int has_dr_acbf = alula_stack_has(stack, ALULA_STACK_DR_ACBF);
-  if (c->takes != ALULA_STACK_STICKS) {
-    const int can_follow = are_within(in->state.velocity, ALULA_LARGEST) && are_within(out->velocity, ALULA_LARGEST);
-    if (c->takes == ALULA_STACK_VELOCITY && can_follow) {
-      follow(c, out->velocity, in->state.velocity, a);
-    } else if (c->takes == ALULA_STACK_ACCELERATION && has_nominal) {
-      for (int k = 0; k < 3; ++k) a[k] = in->nominal[k];
-    } else {
-      brake(c, in->state.velocity, a);
-      raise_to(&worst, ALULA_FILTER_REFUSED);
-    }
-    if (has_dr_acbf) {
-      for (int k = 0; k < 3; ++k) executed[k] = stack->dr_acbf.executed[k];
-      raise_to(&worst, filter_acceleration(stack, in, a, out));
-    }
-    for (int k = 0; k < 3; ++k) out->acceleration[k] = a[k] = clipped(a[k], c->dr_acbf.avoidance.a_max);
+  static const float AT_REST[3] = {0.0F, 0.0F, 0.0F};
+  alula_chord* chord = &stack->chord;
+  const int has_nominal = is_finite(in->nominal);
+  float speed, nominal[3] = {0.0F, 0.0F, 0.0F}, wanted[3] = {0.0F, 0.0F, 0.0F};
+  int longest_only = 0, holds = 1;
+  if (!is_finite(in->position) || !is_finite(in->velocity) ||
+      !alula_chord_find_rows(chord, stack->fence, in->position, in->velocity, in->is_taking_off, &speed, &out->chord))
+    return ALULA_FILTER_REFUSED;
+  for (int k = 0; k < 3 && has_nominal; ++k) nominal[k] = in->nominal[k];
+  const int is_known = look_around(stack, in, nominal, speed, wanted, &longest_only, out);
+  const uint32_t count = is_known ? stack->dr_acbf.row_count : 0U;
+  out->obstacle_rows = count;
+  out->rows = count + chord->count;
+  if (count > 0U) {
+    holds = avoid(stack, in, count, longest_only, wanted, speed, out);
+  } else {
+    alula_chord_project(chord, wanted, speed, &out->chord);
   }
-  if (c->gives == ALULA_STACK_ACCELERATION) return worst;
-
-  const int is_valid = alula_racer_state_is_valid(&in->state);
-  alula_racer_command made;
-  const alula_racer_command* pilot = 0;
-  if (c->takes == ALULA_STACK_STICKS) {
-    if (is_kind && alula_racer_command_is_finite(&in->sticks)) pilot = &in->sticks;
-  } else if (is_valid) {
-    fly_acceleration(c, &in->state, a, has_nominal ? in->yaw_rate_rad_s : 0.0F, &made);
-    pilot = &made;
+  if (is_known) alula_dr_acbf_count(&stack->dr_acbf, holds);
+  out->failing = stack->dr_acbf.failing;
+  if (!holds && out->failing > stack->dr_acbf.config.failing_ticks && out->guidance.mode != ALULA_AVOID) {
+    const float sinking[3] = {0.0F, 0.0F, -stack->dr_acbf.config.descent_m_s};
+    alula_chord_project(chord, sinking, speed, &out->chord);
   }
-  if (!pilot) raise_to(&worst, ALULA_FILTER_REFUSED);
-  raise_to(&worst, filter_sticks(stack, in, is_valid, pilot, out));
-  if (has_dr_acbf && is_valid && alula_stack_has(stack, ALULA_STACK_GEOFENCE) &&
-      out->outcome != ALULA_GEOFENCE_PASSED)
-    report_flown(stack, &in->state, executed, &out->sticks);
-  return worst;
+  const alula_filter_status status = alula_chord_status(chord, has_nominal ? in->nominal : AT_REST, &out->chord);
+  report_flown(stack, in, out->chord.u);
+  if (!has_nominal || !is_known || status == ALULA_FILTER_REFUSED) return ALULA_FILTER_REFUSED;
+  return holds ? status : ALULA_FILTER_RECOVERING;
 }
 
 alula_filter_status alula_stack_filter(alula_stack* stack, const alula_stack_input* input,
                                        alula_stack_result* result) {
   if (!result) return ALULA_FILTER_REFUSED;
   *result = NOTHING;
+  alula_chord_clear(&result->chord);
   if (!stack || !input || !stack->is_ready) return ALULA_FILTER_REFUSED;
   result->status = filter(stack, input, result);
+  for (int k = 0; k < 3; ++k) result->velocity[k] = result->chord.u[k];
   return result->status;
 }

@@ -11,8 +11,6 @@
 #include "box_map.hpp"
 #include "check.hpp"
 
-inline constexpr std::uint32_t kPolytope = 1U << ALULA_STACK_POLYTOPE_CBF, kMoving = 1U << ALULA_STACK_DR_ACBF,
-                               kGeofence = 1U << ALULA_STACK_GEOFENCE;
 using Triple = std::array<double, 3>;
 
 struct Random {
@@ -44,13 +42,6 @@ inline alula_stack_config indoors() {
   alula_stack_config c = alula_stack_defaults();
   c.extent_m = 20.0F;
   c.polytope_cbf.radius_m = 0.25F;
-  c.polytope_cbf.v_max = 1.5F;
-  c.polytope_cbf.kappa = 50.0F;
-  c.dr_acbf.v_max = 4.0F;
-  c.dr_acbf.avoidance.clearance_m = 0.5F;
-  c.dr_acbf.avoidance.latency_s = 0.08F;
-  c.geofence.radius_m = 0.15F;
-  c.geofence.reserve_m = 0.05F;
   return c;
 }
 
@@ -64,10 +55,8 @@ inline Stack make(const alula_stack_config& config) {
 
 inline alula_stack_input hovering() {
   alula_stack_input in{};
-  in.state.attitude[0] = 1.0F;
-  in.state.position[0] = 1.7F, in.state.position[1] = 1.6F, in.state.position[2] = 1.5F;
-  in.nominal[0] = 1.0F;
-  in.sticks.throttle = 0.3F;
+  in.position[0] = 1.7F, in.position[1] = 1.6F, in.position[2] = 1.5F;
+  in.nominal[0] = 0.8F;
   return in;
 }
 

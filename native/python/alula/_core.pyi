@@ -2736,85 +2736,77 @@ def safe_racer_start(geofence: Geofence, box: tuple[Sequence[float], Sequence[fl
     """
 
 class OnboardStackResult:
-    """Report of a stack of onboard filters for one tick."""
+    """Report of the stack of onboard filters for one tick."""
 
     @property
     def status(self) -> int:
-        """
-        The worst of the parts: 0 nominal, 1 filtered, 2 shortened, 3 recovering, 4 refused.
-        """
-
-    @property
-    def parts(self) -> list[int]:
-        """
-        Statuses of polytope-cbf, dr-acbf and the geofence; 0 for a part that is off.
-        """
+        """0 nominal, 1 filtered, 2 shortened, 3 recovering, 4 refused."""
 
     @property
     def velocity(self) -> NDArray[numpy.float64]:
         """Velocity (3) [m/s]."""
 
     @property
-    def acceleration(self) -> NDArray[numpy.float64]:
-        """Acceleration (3) [m/s^2]."""
-
-    @property
-    def sticks(self) -> NDArray[numpy.float64]:
-        """Throttle, and body rates [rad/s] (4)."""
-
-    @property
-    def walls(self) -> int:
-        """Number of walls that dr-acbf was given."""
-
-    @property
-    def walls_are_full(self) -> bool:
-        """Other walls that could bind may have been left out."""
-
-    @property
     def margin_m(self) -> float:
-        """Margin of polytope-cbf's smooth psi [m]; 0 when it is off."""
+        """Minimum of D - r over hulls and faces [m]."""
 
     @property
     def mode(self) -> int:
         """0 nominal, 1 avoid, 2 hover, of dr-acbf."""
 
     @property
+    def horizon_s(self) -> float:
+        """Horizon of the obstacles' rows [s]."""
+
+    @property
+    def violation_m_s(self) -> float:
+        """
+        Largest violation of an obstacle's row [m/s]; a huge negative number without one.
+        """
+
+    @property
     def rows(self) -> int:
-        """Number of rows of dr-acbf."""
+        """Number of rows."""
 
     @property
-    def h_i(self) -> float:
-        """h_I of the geofence [m]."""
+    def obstacle_rows(self) -> int:
+        """Of them, those of obstacles."""
 
     @property
-    def regulation(self) -> float:
-        """Regulation function of the geofence."""
-
-    @property
-    def outcome(self) -> int:
-        """Number of the geofence's status, see alula_geofence_status."""
+    def failing(self) -> int:
+        """Ticks in a row whose rows did not hold."""
 
 class OnboardStack:
     """
-    The onboard filters one after the other, as on a microcontroller: polytope-cbf if `image` is given, dr-acbf
-    if its options are, and the geofence if one is. See alula_stack.h.
-
-    `takes` and `gives` are velocity, acceleration or sticks. ValueError for a combination that it refuses.
+    The onboard filter among hulls and moving obstacles, in a fence, of a vehicle that follows velocities with a
+    lag: alula_stack.h. ValueError for a combination that it refuses.
     """
 
-    def __init__(self, takes: str, gives: str, *, image: bytes | None = None, extent_m: float = 0.0, polytope_cbf: PolytopeCbfConfig | None = None, dr_acbf: Mapping[str, float] | None = None, geofence: Geofence | None = None, model: RacerModel = ..., velocity_gain: float = 2.5, most_walls: int = 8) -> None: ...
+    def __init__(self, image: bytes, polytope_cbf: PolytopeCbfConfig, lag_s: float = 0.35, extent_m: float = 0.0, *, dr_acbf: Mapping[str, float] = {}, fence: Fence | None = None) -> None: ...
 
     def reset(self) -> None:
         """Reset to the state before the first tick."""
 
-    def filter(self, state: Annotated[NDArray[numpy.float64], dict(shape=(13), order='C', device='cpu', writable=False)], nominal: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], tracks: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], walls: Annotated[NDArray[numpy.float64], dict(shape=(None, 4), order='C', device='cpu', writable=False)], *, covariance: Sequence[float] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0], yaw_rate_rad_s: float = 0.0) -> OnboardStackResult:
+    def filter(self, x: Sequence[float], v: Sequence[float], u_nom: Sequence[float], tracks: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], *, covariance: Sequence[float] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0], is_taking_off: bool = False) -> OnboardStackResult:
         """
-        Filter one tick: `state` (13), nominal velocity or acceleration (3) or sticks (4), tracks (n, 29) and walls
-        (m, 4) as of MovingFilter, covariance of the position, and the yaw rate of the cascade.
+        Filter one tick: position, velocity, nominal velocity (3), tracks (n, 29) as of MovingFilter, covariance of the
+        position.
         """
 
-    def walls(self, result: OnboardStackResult) -> NDArray[numpy.float64]:
-        """Walls (m, 4) of the last tick: normal, distance; the caller's first."""
+    def rows(self, result: OnboardStackResult) -> NDArray[numpy.float64]:
+        """
+        Rows (n, 5) of the last tick: unit normal and bound of normal . u <= bound; 0 of an obstacle, 1 of a hull or face, 2 of
+        one whose margin the chord has entered.
+        """
+
+    def work(self) -> list[int]:
+        """
+        Of the last call: boxes, hulls, values of planes, decoded planes, rows, those inside margins.
+        """
+
+    @property
+    def fence_words(self) -> bytes:
+        """The bytes of its alula_fence, as those of a geofence."""
 
 class PendulumFilter:
     """

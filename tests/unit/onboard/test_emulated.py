@@ -198,7 +198,7 @@ def test_the_stack_used_stays_within_the_bound_of_the_call_graph(measured):
     assert figures["m4_polytope_stack_bytes"] <= figures["stack_polytope_cbf_filter_bytes"] + outside
     assert figures["m4_dracbf_stack_bytes"] <= figures["stack_dr_acbf_filter_bytes"] + 1.5 * outside
     assert figures["m4_geofence_stack_bytes"] <= figures["stack_geofence_filter_bytes"] + 1.5 * outside
-    assert figures["m4_all_filters_stack_bytes"] <= figures["stack_stack_filter_bytes"] + 1.5 * outside
+    assert figures["m4_stack_filter_stack_bytes"] <= figures["stack_stack_filter_bytes"] + 1.5 * outside
     assert figures["ram_bytes"] <= TARGETS["crazyflie"].ram_bytes
 
 
@@ -249,7 +249,7 @@ def test_navigation_and_sticks_that_are_no_numbers_are_refused_on_the_target(fen
 
 @pytest.fixture(scope="module")
 def stack(measured, short):
-    """Recorded ticks of all filters and how to replay them."""
+    """Recorded ticks of the stack and how to replay them."""
     _, folder = measured
     half = np.array(onboard.HALVES[150]) * onboard.G
     recorded = onboard.stack_ticks.record(short[0], half, seed=5)
@@ -261,16 +261,16 @@ def stack(measured, short):
 
 
 @pytest.mark.parametrize("core", CORES)
-def test_all_filters_together_fly_the_same_on_the_target(stack, core):
+def test_the_stack_flies_the_same_on_the_target(stack, core):
     recorded, again = stack
     assert {1, 3} <= set(recorded.status.tolist())
     assert onboard.stack_ticks.mismatches(recorded, again(core, recorded.inputs())) == 0
-    changed = [row[:80] + struct.pack("<f", 0.5) + row[84:] for row in recorded.rows[:300]]
+    changed = [row[:48] + struct.pack("<f", 0.05) + row[52:] for row in recorded.rows[:300]]
     other = replace(recorded, rows=changed)
     found = again(core, other.inputs())
     part = replace(
         recorded,
-        **{name: getattr(recorded, name)[:300] for name in ("status", "parts", "values", "in_flight")},
+        **{name: getattr(recorded, name)[:300] for name in ("status", "values", "in_flight")},
     )
     assert onboard.stack_ticks.mismatches(part, found) > 100
 
@@ -280,14 +280,18 @@ def test_a_stack_refuses_what_is_not_finite_and_flies_on(stack, core):
     recorded, again = stack
     rows = recorded.rows[:40].copy()
     rows[10] = rows[10][:12] + struct.pack("<f", np.nan) + rows[10][16:]  # velocity
-    rows[20] = rows[20][:80] + struct.pack("<f", np.inf) + rows[20][84:]  # nominal
+    rows[20] = rows[20][:48] + struct.pack("<f", np.inf) + rows[20][52:]  # nominal
     ticks = again(core, replace(recorded, rows=rows).inputs()).ticks
     assert (ticks["status"] == 4).nonzero()[0].tolist() == [10, 20]
-    for name in ("velocity", "acceleration", "sticks"):
-        assert np.isfinite(ticks[name]).all()
-    assert (ticks["acceleration"][10] == 0).all()
-    assert (ticks["velocity"][20] == 0).all()
-    assert (ticks["outcome"][10] == 3).all()  # u_B: no pilot
+    assert np.isfinite(ticks["velocity"]).all()
+    assert (ticks["velocity"][[10, 20]] == 0).all()
+
+
+def test_a_tick_of_the_stack_fits_the_period_of_the_crazyflies_app(measured):
+    """10 ms at 168 MHz and 2 cycles per instruction, among 150 hulls, in a fence, with two balls."""
+    figures = measured[0].figures
+    crazyflie = TARGETS["crazyflie"]
+    assert figures["stack_m4_worst_instructions"] * 2 / crazyflie.clock_hz < 1 / crazyflie.rate_hz
 
 
 @pytest.mark.parametrize("core", CORES)

@@ -138,11 +138,7 @@ void bind_filter(nb::module_& m) {
           "config_words", [](const Geofence& self) { return to_bytes(&self.config(), sizeof self.config()); },
           nb::sig("def config_words(self) -> bytes"), "The bytes of its alula_geofence_config.")
       .def_prop_ro(
-          "fence_words",
-          [](const Geofence& self) {
-            const alula_fence& fence = self.onboard_fence();
-            return to_bytes(&fence, offsetof(alula_fence, face) + fence.face_count * sizeof fence.face[0]);
-          },
+          "fence_words", [](const Geofence& self) { return words_of(self.onboard_fence()); },
           nb::sig("def fence_words(self) -> bytes"),
           "The bytes of its alula_fence: has_box, lower (3), upper (3), face_count, and the faces (4 each).")
       .def_prop_ro(

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cmath>
+#include <cstddef>
 #include <map>
 #include <stdexcept>
 #include <string>
@@ -10,6 +11,7 @@
 
 #include "alula/base/fields.hpp"
 #include "alula_avoidance.h"
+#include "alula_fence.h"
 #include "arrays.hpp"
 #include "track_rows.hpp"
 
@@ -45,6 +47,11 @@ inline std::vector<alula_wall> walls_of(const InRows4<double>& rows) {
     walls[i].distance_m = static_cast<float>(rows.data()[4 * i + 3]);
   }
   return walls;
+}
+
+// A fence as a microcontroller reads it: has_box, lower (3), upper (3), face_count, and the faces (4 each).
+inline nanobind::bytes words_of(const alula_fence& fence) {
+  return nanobind::bytes(&fence, offsetof(alula_fence, face) + fence.face_count * sizeof fence.face[0]);
 }
 
 }  // namespace alula

@@ -16,7 +16,10 @@ namespace {
 // and the offset its own rounding.
 double lost_by_face(double d) { return 0x1p-24 * (16e3 + 4 * std::abs(d)); }
 
-void set_up(const Fence& fence, alula_fence& onboard) {
+}  // namespace
+
+alula_fence to_onboard(const Fence& fence) {
+  alula_fence onboard{};
   onboard.has_box = fence.box ? 1 : 0;
   for (int i = 0; fence.box && i < 3; ++i) {
     onboard.lower[i] = round_up(fence.box->lower[i]);
@@ -28,9 +31,8 @@ void set_up(const Fence& fence, alula_fence& onboard) {
     for (std::size_t i = 0; i < 3; ++i) onboard.face[l][i] = static_cast<float>(fence.faces[l][i]);
     onboard.face[l][3] = round_down(fence.faces[l][3] - lost_by_face(fence.faces[l][3]));
   }
+  return onboard;
 }
-
-}  // namespace
 
 double Fence::clearance(Vec3 a, Vec3 b) const {
   double least = kInfinity;
@@ -139,7 +141,7 @@ std::string refusal(const alula_geofence_config& config) {
 }
 
 Geofence::Geofence(const Fence& fence, const alula_geofence_config& config) : fence_(fence) {
-  set_up(fence, onboard_);
+  onboard_ = to_onboard(fence);
   if (fence.image) {
     if (fence.image->size() > UINT32_MAX ||
         alula_map_open(&map_, fence.image->data(), static_cast<std::uint32_t>(fence.image->size())) !=

@@ -1,7 +1,7 @@
-/* A recorded flight through the stack of all filters.
+/* A recorded flight through the stack.
  *
- * inputs.bin: a `head`; an alula_geofence_config; uint32 has_box, float lower[3], upper[3], uint32 faces, float
- * faces[][4]; uint32 ticks; then per tick an `input`, its tracks and its walls.
+ * inputs.bin: a `head`; uint32 has_box, float lower[3], upper[3], uint32 faces, float faces[][4]; uint32 ticks; then
+ * per tick an `input` and its tracks.
  * outputs.bin: uint32 status of opening the map, status of the stack's set-up; then per tick a `tick`; then uint32
  * bytes of the stack. All numbers have 32 bits: enumerations have other sizes on the target than on a host.
  */
@@ -9,9 +9,7 @@
 #include "port.h"
 
 typedef struct {
-  uint32_t parts, takes, gives, most_walls;
-  float velocity_gain, extent_m;
-  float polytope_radius_m, beta, kappa, dt_s, speed_m_s;
+  float extent_m, lag_s, hulls_radius_m, beta, dt_s, speed_m_s;
   float radius_m, a_max, latency_s, clearance_m, wall_room_m, v_max; /* of dr-acbf */
 } head;
 
@@ -22,42 +20,34 @@ typedef struct {
 } fence_head;
 
 typedef struct {
-  alula_racer_state state;
-  float covariance[6];
-  uint32_t kind;
-  float nominal[3], yaw_rate_rad_s;
-  alula_racer_command sticks;
-  uint32_t tracks, walls;
+  float position[3], velocity[3], covariance[6], nominal[3];
+  uint32_t is_taking_off, tracks;
 } input;
 
 typedef struct {
-  uint32_t status, part[ALULA_STACK_PARTS];
-  float velocity[3], acceleration[3];
-  alula_racer_command sticks;
-  uint32_t outcome, walls, walls_are_full, mode, rows;
-  float margin_m, h_i, lambda;
+  uint32_t status;
+  float velocity[3], margin_m;
+  uint32_t mode, rows, obstacle_rows, failing;
+  float horizon_s, violation_m_s;
   uint32_t counted;
+  alula_polytope_work work;
+  uint32_t soft;
 } tick;
 
 alula_map replayed_stack_map;
 alula_fence replayed_stack_fence;
 alula_stack replayed_stack;
 static alula_track track[ALULA_OBSTACLES];
-static alula_wall wall[ALULA_WALLS];
+static alula_stack_result result;
 
 static int read_config(alula_stack_config* config) {
   head read;
   fence_head box;
-  if (!port_read(&read, sizeof read) || !port_read(&config->geofence, sizeof config->geofence)) return 0;
-  config->parts = read.parts;
-  config->takes = (alula_stack_command)read.takes;
-  config->gives = (alula_stack_command)read.gives;
-  config->most_walls = read.most_walls;
-  config->velocity_gain = read.velocity_gain;
+  if (!port_read(&read, sizeof read)) return 0;
   config->extent_m = read.extent_m;
-  config->polytope_cbf.radius_m = read.polytope_radius_m;
+  config->lag_s = read.lag_s;
+  config->polytope_cbf.radius_m = read.hulls_radius_m;
   config->polytope_cbf.beta = read.beta;
-  config->polytope_cbf.kappa = read.kappa;
   config->polytope_cbf.dt_s = read.dt_s;
   config->polytope_cbf.v_max = read.speed_m_s;
   config->dr_acbf.avoidance.dt_s = read.dt_s;
@@ -79,23 +69,19 @@ static int read_config(alula_stack_config* config) {
 
 static int read_input(alula_stack_input* to) {
   input in;
-  if (!port_read(&in, sizeof in) || in.tracks > ALULA_OBSTACLES || in.walls > ALULA_WALLS) return 0;
+  if (!port_read(&in, sizeof in) || in.tracks > ALULA_OBSTACLES) return 0;
   if (!port_read(track, in.tracks * (uint32_t)sizeof *track)) return 0;
-  if (!port_read(wall, in.walls * (uint32_t)sizeof *wall)) return 0;
-  to->state = in.state;
+  for (int k = 0; k < 3; ++k) {
+    to->position[k] = in.position[k];
+    to->velocity[k] = in.velocity[k];
+    to->nominal[k] = in.nominal[k];
+  }
   for (int k = 0; k < 6; ++k) to->covariance[k] = in.covariance[k];
   to->track = track;
   to->track_count = in.tracks;
-  to->wall = wall;
-  to->wall_count = in.walls;
-  to->kind = (alula_stack_command)in.kind;
-  for (int k = 0; k < 3; ++k) to->nominal[k] = in.nominal[k];
-  to->yaw_rate_rad_s = in.yaw_rate_rad_s;
-  to->sticks = in.sticks;
+  to->is_taking_off = (int)in.is_taking_off;
   return 1;
 }
-
-static alula_stack_result result;
 
 static int fly(uint32_t ticks) {
   for (uint32_t i = 0; i < ticks; ++i) {
@@ -105,20 +91,16 @@ static int fly(uint32_t ticks) {
     port_start();
     out.status = (uint32_t)alula_stack_filter(&replayed_stack, &in, &result);
     out.counted = port_stop();
-    for (uint32_t k = 0; k < ALULA_STACK_PARTS; ++k) out.part[k] = (uint32_t)result.part[k];
-    for (int k = 0; k < 3; ++k) {
-      out.velocity[k] = result.velocity[k];
-      out.acceleration[k] = result.acceleration[k];
-    }
-    out.sticks = result.sticks;
-    out.outcome = (uint32_t)result.outcome;
-    out.walls = result.walls;
-    out.walls_are_full = (uint32_t)result.walls_are_full;
-    out.mode = (uint32_t)result.dr_acbf.guidance.mode;
-    out.rows = result.dr_acbf.rows;
-    out.margin_m = result.polytope_cbf.margin_m;
-    out.h_i = result.geofence.h_i;
-    out.lambda = result.geofence.lambda;
+    for (int k = 0; k < 3; ++k) out.velocity[k] = result.velocity[k];
+    out.margin_m = result.chord.margin_m;
+    out.mode = (uint32_t)result.guidance.mode;
+    out.rows = result.rows;
+    out.obstacle_rows = result.obstacle_rows;
+    out.failing = result.failing;
+    out.horizon_s = result.horizon_s;
+    out.violation_m_s = result.violation_m_s;
+    out.work = replayed_stack.chord.hulls.work;
+    out.soft = replayed_stack.chord.soft;
     if (!port_write(&out, sizeof out)) return 0;
   }
   return 1;

@@ -31,6 +31,9 @@ struct Fence {
   double distance_to(std::uint32_t constraint, Vec3 p) const;
 };
 
+// Box and faces for the onboard code, rounded to the safe side as below; without the map.
+alula_fence to_onboard(const Fence& fence);
+
 struct GeofenceReport {
   alula_geofence_status status = ALULA_GEOFENCE_REFUSED;
   RacerCommand command;  // the pilot's, bit by bit, when PASSED

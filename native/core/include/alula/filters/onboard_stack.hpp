@@ -7,24 +7,19 @@
 #include <span>
 
 #include "alula/cover/onboard_image.hpp"
-#include "alula/dynamics/racer.hpp"
 #include "alula/filters/geofence.hpp"
 #include "alula/filters/polytope_cbf.hpp"
 #include "alula_stack.h"
 
 namespace alula::flight {
 
-// Parts are on when they are given. Defaults as those of alula_stack_defaults.
 struct OnboardStackSpec {
-  alula_stack_command takes = ALULA_STACK_VELOCITY, gives = ALULA_STACK_STICKS;
-  std::shared_ptr<const OnboardImage> hulls;  // polytope-cbf
+  std::shared_ptr<const OnboardImage> hulls;
   double extent_m = 0;
   PolytopeCbfConfig polytope_cbf;
-  std::optional<alula_dr_acbf_config> dr_acbf;
-  const Geofence* geofence = nullptr;  // copied
-  RacerModel model;                    // of the cascade without a geofence
-  double velocity_gain = alula_stack_defaults().velocity_gain;
-  std::uint32_t most_walls = alula_stack_defaults().most_walls;
+  double lag_s = alula_stack_defaults().lag_s;
+  alula_dr_acbf_config dr_acbf = alula_stack_defaults().dr_acbf;
+  std::optional<Fence> fence;  // box and faces
 };
 
 // One copy per flight. Numbers are rounded to single precision: the radius up, the fence inward.
@@ -36,15 +31,14 @@ class OnboardStack {
   OnboardStack& operator=(const OnboardStack&) = delete;
 
   void reset() { alula_stack_reset(stack_.get()); }
-  // The pointers of `input` are those of the spans.
-  alula_stack_result filter(alula_stack_input input, std::span<const alula_track> tracks,
-                            std::span<const alula_wall> walls);
-  const alula_stack_config& config() const { return stack_->config; }
-  std::span<const alula_wall> walls(const alula_stack_result& result) const { return {stack_->wall, result.walls}; }
+  // The pointer to tracks of `input` is that of the span.
+  alula_stack_result filter(alula_stack_input input, std::span<const alula_track> tracks);
+  const alula_stack& stack() const { return *stack_; }
+  const alula_fence& fence() const { return fence_; }
 
  private:
   std::shared_ptr<const OnboardImage> hulls_;
-  std::unique_ptr<const Geofence> geofence_;  // owns the fence
+  alula_fence fence_{};
   std::unique_ptr<alula_stack> stack_;
 };
 
