@@ -18,7 +18,7 @@ from alula.schemas.errors import InputError, UsageError
 from alula.schemas.parameters.configs.export import FOLDERS, ExportConfig
 from alula.schemas.parameters.targets import TARGETS
 from alula.schemas.progress import Progress
-from alula.stages.compression.onboard.cost import require_fit, require_rate, target_facts
+from alula.stages.compression.onboard.cost import require_fit, require_memory, require_rate, target_facts
 from alula.stages.compression.onboard.image import decode_map
 from alula.stages.compression.onboard.layout import image_c_header, map_facts
 from alula.stages.export.bodies import gazebo, urdf
@@ -40,7 +40,7 @@ def export(artifact: Path | None, config: ExportConfig, key_path: Path | None, c
     Raises:
         UsageError: options contradict one another, or the format is not for the artifact.
         InputError: the artifact cannot be read.
-        InfeasibleError: the map does not fit the target.
+        InfeasibleError: the map, or the obstacles, do not fit the target.
         CheckError: a tick of the filter takes longer than the target's period.
         OutputError: a file cannot be written, or has other contents.
     """
@@ -78,8 +78,9 @@ def export(artifact: Path | None, config: ExportConfig, key_path: Path | None, c
         if config.target != "none":
             image, target = decode_map(parts[0]), TARGETS[config.target]
             require_fit(parts[0], image, target)
-            facts = target_facts(parts[0], image, target)
-            require_rate(facts, len(image), target, config.rate_hz)
+            require_memory(target, config.obstacles)
+            facts = target_facts(parts[0], image, target, config.obstacles)
+            require_rate(facts, len(image), target, config.rate_hz, config.obstacles)
             check_output(header, {"input": artifact})
             current(header, provenance, force=common.force)
 

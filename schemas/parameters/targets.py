@@ -8,6 +8,12 @@ CODE_BYTES = 64_000
 """Flash that is reserved for the filters' code; `make onboard` checks that all filters fit."""
 
 
+APP_STATE_BYTES = 19_300
+STACK_STATE_BYTES = 1_200
+OBSTACLE_STATE_BYTES = 270
+"""RAM of the Crazyflie's app, of fence and obstacles in it, and of each obstacle (`make onboard`)."""
+
+
 @dataclass(frozen=True, slots=True)
 class Target:
     """A microcontroller with its firmware.
@@ -36,6 +42,12 @@ class Target:
     def map_room(self) -> int:
         """Maximum size of a map [bytes]; 0 also where there is no limit."""
         return max(self.flash_bytes - CODE_BYTES, 0)
+
+    def state_bytes(self, obstacles: int) -> int:
+        """RAM of the firmware's app with at most this many moving obstacles [bytes]."""
+        if obstacles == 0:
+            return APP_STATE_BYTES
+        return APP_STATE_BYTES + STACK_STATE_BYTES + OBSTACLE_STATE_BYTES * obstacles
 
 
 TARGETS = {

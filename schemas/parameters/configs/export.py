@@ -68,6 +68,14 @@ class ExportConfig(Config):
         gt=0,
         le=1e6,
     )
+    obstacles: int = option(
+        0,
+        "Maximum number of moving obstacles of the crazyflie's app, its OBSTACLES: they cost memory, and "
+        "time of a tick. What does not fit is refused with exit code 4 or 5; 0: hulls alone.",
+        group="Onboard maps",
+        metavar="N",
+        within=(0, 128),
+    )
     largest_normal: int = option(
         127,
         "Onboard map: maximum component of a plane's integer normal, 1 to 127. Only 1 makes the map "
@@ -140,6 +148,8 @@ class ExportConfig(Config):
         Config.__post_init__(self)
         if self.rate_hz is not None and self.target in ("none", "c"):
             raise UsageError("--rate goes with a --target whose clock is known: crazyflie or teensy")
+        if self.obstacles > 0 and self.target != "crazyflie":
+            raise UsageError("--obstacles goes with --target crazyflie")
         if (self.ros2 or self.foxglove_layout) and (self.format != "auto" or self.target != "none"):
             raise UsageError("--ros2 and --foxglove-layout go with neither --format nor --target")
         self._check_tiles()
@@ -199,6 +209,8 @@ class ExportConfig(Config):
             shaping["largest_normal"] = self.largest_normal
         if self.target != "none":
             shaping |= {"target": self.target, "name": c_name(output)}
+            if self.obstacles > 0:
+                shaping["obstacles"] = self.obstacles
         if name == "spz":
             shaping["spz_version"] = self.spz_version
         if name == "c-header":

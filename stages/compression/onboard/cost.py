@@ -24,6 +24,8 @@ INSTRUCTIONS = np.array([136, 155, 30, 43, 135])
 CHORD_INSTRUCTIONS = np.array([136, 100, 26, 45, 1300])
 # Of the search for the least violation, where the chord has entered margins; more of them cost no more.
 ENTERED_INSTRUCTIONS = 320_000
+# Of the stack beyond its chord: the search for a horizon, and each obstacle; fitted to ticks with 1 to 8.
+SEARCH_INSTRUCTIONS, OBSTACLE_INSTRUCTIONS = 280_000, 15_000
 SAMPLES, REFINED = 3000, 300
 ASSUMED: dict[str, Any] = {"radius_m": 0.1, "beta": 2.0, "kappa": 100.0, "v_max": 1.0, "dt_s": 0.002}
 ASSUMED_OF_CHORD: dict[str, Any] = {"radius_m": 0.15, "beta": 2.0, "v_max": 1.0, "dt_s": 0.01}
@@ -51,6 +53,11 @@ def tick_instructions(work: NDArray[np.int64], *, of_chord: bool = False) -> NDA
         return chord + BASE_INSTRUCTIONS
     total: NDArray[np.int64] = np.asarray(work, np.int64) @ INSTRUCTIONS
     return total + BASE_INSTRUCTIONS
+
+
+def obstacles_instructions(obstacles: int) -> int:
+    """Upper bound of the instructions of a tick of the stack beyond those of its chord."""
+    return SEARCH_INSTRUCTIONS + OBSTACLE_INSTRUCTIONS * obstacles if obstacles > 0 else 0
 
 
 _Work = Callable[[list[float], list[float]], Sequence[int]]
@@ -92,11 +99,11 @@ def worst_tick(raw: bytes, image: MapImage, *, of_chord: bool = False) -> dict[s
         of_chord: of the chord filter, at the speed limit along the nominal command; else of polytope-cbf.
 
     Returns:
-        `measured` and `bound` [instructions].
+        `measured` and `bound` [instructions], and `hulls`, the number evaluated in the tick of `measured`.
     """
     hulls = len(image)
     if hulls == 0:
-        return {"measured": BASE_INSTRUCTIONS, "bound": BASE_INSTRUCTIONS}
+        return {"measured": BASE_INSTRUCTIONS, "bound": BASE_INSTRUCTIONS, "hulls": 0}
     g, rng = image.voxel_size_m, np.random.default_rng(0)
     extent = float(np.abs([image.lower, image.upper]).max() * g) + 2.0
     chosen = rng.integers(0, hulls, SAMPLES)
@@ -110,26 +117,30 @@ def worst_tick(raw: bytes, image: MapImage, *, of_chord: bool = False) -> dict[s
     nominal = 0.5 * (low + high) - points
     work_of = _chord(raw, extent) if of_chord else _plain(raw, extent)
 
+    most = {"measured": 0, "hulls": 0}
+
     def cost(at: NDArray[np.float64]) -> NDArray[np.int64]:
         ticks = zip(np.clip(at, -extent, extent).tolist(), nominal.tolist(), strict=True)
-        return tick_instructions(np.array([work_of(x, u) for x, u in ticks]), of_chord=of_chord)
+        work = np.array([work_of(x, u) for x, u in ticks])
+        found = tick_instructions(work, of_chord=of_chord)
+        if found.max() > most["measured"]:
+            most.update(measured=int(found.max()), hulls=int(work[found.argmax(), 1]))
+        return found
 
     found = cost(points)
-    measured = int(found.max())
     for reach_m in (0.2, 0.1, 0.05, 0.02):
         worst = rng.permutation(np.argsort(-found)[:REFINED])
         points, nominal = points[worst] + reach_m * rng.normal(size=(REFINED, 3)), nominal[worst]
         found = cost(points)
-        measured = max(measured, int(found.max()))
     nodes = -(-hulls // LEAF_HULLS) * 4 // 3 + 16
     planes = image.half_planes
     if of_chord:
         every = np.array(
             [hulls + nodes, hulls, _CHORD_VALUES * (planes + 6 * hulls), planes + 6 * hulls, _CHORD_ROWS, 1]
         )
-        return {"measured": measured, "bound": int(tick_instructions(every, of_chord=True))}
+        return {**most, "bound": int(tick_instructions(every, of_chord=True))}
     every = np.array([hulls + nodes, hulls, planes, planes, planes])
-    return {"measured": measured, "bound": int(tick_instructions(_PASSES * every))}
+    return {**most, "bound": int(tick_instructions(_PASSES * every))}
 
 
 def largest_budget(room: int, hulls: int) -> int:
@@ -168,38 +179,75 @@ def require_fit(raw: bytes, image: MapImage, target: Target) -> None:
     )
 
 
-def require_rate(facts: Mapping[str, Any], hulls: int, target: Target, rate_hz: float | None) -> None:
+def require_memory(target: Target, obstacles: int) -> None:
+    """Refuse more moving obstacles than the target's memory holds.
+
+    Raises:
+        InfeasibleError: they do not fit; the message has the number that does.
+    """
+    needs = target.state_bytes(obstacles)
+    if obstacles == 0 or needs <= target.ram_bytes:
+        return
+    most = obstacles
+    while most > 0 and target.state_bytes(most) > target.ram_bytes:
+        most -= 1
+    raise InfeasibleError(
+        f"the app with {obstacles} obstacles takes {needs} bytes of RAM, {target.name} has "
+        f"{target.ram_bytes}; {most} obstacles fit"
+    )
+
+
+def require_rate(
+    facts: Mapping[str, Any], hulls: int, target: Target, rate_hz: float | None, obstacles: int = 0
+) -> None:
     """Refuse a map whose worst tick takes longer than the period of its control rate.
 
     Args:
         rate_hz: the control rate; None is the default of the target's firmware.
+        obstacles: maximum number of moving ones, counted in `facts`.
 
     Raises:
-        CheckError: the tick takes too long; the message has the fraction of the period.
+        CheckError: the tick takes too long; the message has the fraction of the period, and what fits.
     """
     rate = rate_hz or target.rate_hz
     if not rate or "tick_us" not in facts or (share := 1e-6 * facts["tick_us"] * rate) <= 1:
         return
     tick, fast = facts["tick_us"] / 1000, 1e6 / facts["tick_us"]
+    beside = f" and {obstacles} moving obstacles" if obstacles > 0 else ""
+    room = target.clock_hz / target.cycles_per_instruction / rate
+    fixed = BASE_INSTRUCTIONS + obstacles_instructions(obstacles)
+    fixed += ENTERED_INSTRUCTIONS if target.follows_late else 0
+    near = facts["tick_hulls"]
+    fit = math.floor(near * (room - fixed) / max(facts["tick_instructions"] - fixed, 1))
+    fits = f"merge to fewer hulls (that tick evaluates {near}, {max(min(fit, near), 0)} fit)"
+    if obstacles > 0:
+        most = obstacles - math.ceil((facts["tick_instructions"] - room) / OBSTACLE_INSTRUCTIONS)
+        fits += f", give --obstacles {most}" if most > 0 else ", leave out --obstacles"
     raise CheckError(
-        f"a tick of the filter on {hulls} hulls takes up to {tick:.3g} ms on {target.name}, {share:.3g} "
-        f"times its period at {rate:g} Hz; merge to fewer hulls, or give --rate below {fast:.3g}"
+        f"a tick of the filter on {hulls} hulls{beside} takes up to {tick:.3g} ms on {target.name}, "
+        f"{share:.3g} times its period at {rate:g} Hz; {fits}, or give --rate below {fast:.3g}"
     )
 
 
-def target_facts(raw: bytes, image: MapImage, target: Target) -> dict[str, Any]:
-    """Summary figures of a map on a target.
+def target_facts(raw: bytes, image: MapImage, target: Target, obstacles: int = 0) -> dict[str, Any]:
+    """Summary figures of a map on a target, whose app has at most this many moving obstacles.
 
     `share_at_R_hz` is the fraction of a control period at R Hz that the filter takes at the worst position
     that was tried.
     """
+    more = obstacles_instructions(obstacles)
     worst = worst_tick(raw, image, of_chord=target.follows_late)
+    hulls_at_once = worst.pop("hulls")
+    worst = {k: n + more for k, n in worst.items()}
     facts: dict[str, Any] = {
         "target": target.name,
         "index_bytes": image.index_bytes,
         "tick_instructions": worst["measured"],
         "tick_instructions_bound": worst["bound"],
+        "tick_hulls": hulls_at_once,
     }
+    if obstacles > 0:
+        facts |= {"obstacles": obstacles, "ram_bytes_left": target.ram_bytes - target.state_bytes(obstacles)}
     if target.flash_bytes:
         facts["bytes_left"] = target.map_room - len(raw)
     if target.clock_hz:

@@ -87,7 +87,8 @@ def test_a_map_that_is_too_slow_for_its_rate_exits_4_and_writes_nothing(here, ca
     assert run([*words, "--rate", str(3.5e6 / tick_us)]) == 4
     (line,) = capsys.readouterr().err.splitlines()
     assert "3.5 times its period" in line
-    assert "merge to fewer hulls, or give --rate below" in line
+    assert "merge to fewer hulls (that tick evaluates" in line
+    assert "fit), or give --rate below" in line
     slow = Target("crazyflie", 724_000, 36_000, 80 * tick_us, 2.0, (1000, 50), 100.0)  # a tick of 2.1 s
     monkeypatch.setitem(TARGETS, "crazyflie", slow)
     assert run(words) == 4
@@ -96,6 +97,33 @@ def test_a_map_that_is_too_slow_for_its_rate_exits_4_and_writes_nothing(here, ca
     for target in ("none", "c"):
         assert run(["export", "tiny.cover.npz", "-o", "b.bin", "--target", target, "--rate", "50"]) == 2
         assert "--rate goes with a --target" in capsys.readouterr().err
+
+
+def test_obstacles_cost_time_and_memory_and_what_fits_is_named(here, capsys):
+    words = ["export", "tiny.cover.npz", "-o", "a.map.bin", "--target", "crazyflie", "--json", "-n"]
+    crazyflie = TARGETS["crazyflie"]
+    alone, four = (
+        exported(capsys, *words[1:-2], "-n", *more)["summary"] for more in ([], ["--obstacles", "4"])
+    )
+    more = four["tick_instructions"] - alone["tick_instructions"]
+    assert more == four["tick_instructions_bound"] - alone["tick_instructions_bound"] > 0
+    assert four["ram_bytes_left"] == crazyflie.ram_bytes - crazyflie.state_bytes(4)
+    assert run([*words, "--obstacles", "128"]) == 5
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "of RAM, crazyflie has 36000" in line
+    most = int(line.split("; ")[1].split()[0])
+    assert crazyflie.state_bytes(most) <= crazyflie.ram_bytes < crazyflie.state_bytes(most + 1)
+    assert run([*words, "--obstacles", str(most)]) == 4  # its time is the limit
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"and {most} moving obstacles takes up to" in line
+    fits = int(line.split("give --obstacles ")[1].split(",")[0])
+    assert run([*words, "--obstacles", str(fits)]) == 0
+    assert run([*words, "--obstacles", str(fits + 1)]) == 4
+    capsys.readouterr()
+    assert run([*words, "--obstacles", "1", "--rate", "500"]) == 4
+    assert "leave out --obstacles" in capsys.readouterr().err
+    assert run(["export", "tiny.cover.npz", "-o", "b.bin", "--target", "teensy", "--obstacles", "1"]) == 2
+    assert "--obstacles goes with --target crazyflie" in capsys.readouterr().err
 
 
 def test_the_bound_holds_wherever_the_vehicle_is(here):
