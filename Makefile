@@ -13,8 +13,9 @@ LOCKED := $(BIN)/pip install -q --disable-pip-version-check --no-compile --requi
 
 NATIVE_TESTS := $(basename $(notdir $(wildcard native/*/tests/*_test.cpp)))
 # Those that start no thread (`strace -f -e clone3`): not built and run with the thread sanitizer.
-UNTHREADED := dr_acbf geofence links map minimum_time moving_world plant polytope_cbf polytope_image polytope_map qp \
-  rates stack stack_flight teensy teensy_flight tiles tracker wall_planes wrench_filters
+UNTHREADED := crazyflie_obstacles dr_acbf geofence links map minimum_time moving_world plant polytope_cbf \
+  polytope_image polytope_map qp rates stack stack_flight teensy teensy_flight teensy_velocity tiles tracker wall_planes \
+  wrench_filters
 
 # Smoke tests of the wheel: every command once, its artifacts, streams and exit codes.
 WHEEL_TESTS := tests/command/program/test_conduct.py tests/command/results/test_info.py tests/unit/schemas/test_artifact.py

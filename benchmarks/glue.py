@@ -44,6 +44,8 @@ EXACT = ["-ffp-contract=off", "-fno-math-errno"]
 CRAZYFLIE = [*COMMON, *["-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-std=gnu11", "-Os"], *EXACT, *WARNINGS]
 TEENSY = [*COMMON, *["-mcpu=cortex-m7", "-mfpu=fpv5-d16", "-O2", "-ffreestanding"], *EXACT, *WARNINGS]
 APP_STACK_BYTES = 4 * 350  # CONFIG_APP_STACKSIZE counts words
+MORE_STACK_BYTES = 4 * 500  # of app-config-obstacles
+OBSTACLES = (1, 2, 4)
 TICK_S = 0.5e-3  # a fifth of the shortest period of the Teensy's loop
 CONTEXT_BYTES = 4 * (9 + 16 + 26)  # context of a task that uses floats, which FreeRTOS keeps on its stack
 FIRMWARE = {
@@ -80,8 +82,8 @@ def map_header(folder: Path, hulls: int) -> int:
     return len(image)
 
 
-def compile_crazyflie(folder: Path, header: Path | None) -> list[Path]:
-    """Compile the app's three objects, with the map of a folder or without one."""
+def compile_crazyflie(folder: Path, header: Path | None, obstacles: int = 0) -> list[Path]:
+    """Compile the app's objects, with the map of a folder or without one, and for moving obstacles."""
     board, objects = BOARDS / "crazyflie", []
     folder.mkdir(parents=True, exist_ok=True)
     includes = [board / "check/include", INCLUDE, INCLUDE.parent / "src", *([header] if header else [])]
@@ -89,9 +91,13 @@ def compile_crazyflie(folder: Path, header: Path | None) -> list[Path]:
         ("alula_app", "alula_app"),
         ("crazyflie_filter", "alula_filter"),
         ("onboard", "alula_all"),
+        ("onboard_stack", "alula_more"),
     ):
         target = folder / f"{name}.o"
         flags = [f"-I{i}" for i in includes]
+        if obstacles > 0:  # as the app's Makefile
+            flags += [f"-DALULA_CRAZYFLIE_OBSTACLES={obstacles}U", f"-DALULA_OBSTACLES={obstacles}U"]
+            flags += ["-DALULA_WALLS=8U", "-DALULA_FENCE_FACES=1U"]
         run(["arm-none-eabi-gcc", *CRAZYFLIE, *flags, "-c", board / f"src/{source}.c", "-o", target])
         objects.append(target)
     return objects
@@ -161,7 +167,11 @@ def fly_loop(folder: Path, core: str) -> NDArray[np.void]:
     """
     folder.mkdir(parents=True, exist_ok=True)
     board = BOARDS / "teensy"
-    sources = [*sorted((INCLUDE.parent / "src").glob("*.c")), board / "teensy_loop.c"]
+    sources = [
+        *sorted((INCLUDE.parent / "src").glob("*.c")),
+        board / "teensy_loop.c",
+        board / "teensy_velocity.c",
+    ]
     sources += [
         board / "check/replay_loop.c",
         FIRMWARE_OF_EMULATOR / f"port_{'host' if core == 'host' else 'emulated'}.c",
@@ -242,13 +252,23 @@ def measure(folder: Path) -> dict[str, Any]:
     found["crazyflie_code_bytes"] = found["crazyflie_150_flash_bytes"] - found["map_150_bytes"]
     found["crazyflie_app_stack_bytes"] = stack_bound(folder, "app150", "appMain") + CONTEXT_BYTES
     found["crazyflie_loop_stack_bytes"] = stack_bound(folder, "app150", "controllerOutOfTree")
+    more = app
+    for obstacles in OBSTACLES:
+        more = compile_crazyflie(folder / f"more{obstacles}", folder / "map150", obstacles)
+        size, name = sizes(more), f"crazyflie_{obstacles}_obstacles"
+        found[f"{name}_ram_bytes"] = size["ram"]
+        found[f"{name}_code_bytes"] = size["flash"] - found["map_150_bytes"]
+    deepest = stack_bound(folder, f"more{max(OBSTACLES)}", "appMain")
+    found["crazyflie_obstacles_app_stack_bytes"] = deepest + CONTEXT_BYTES
     sketch = compile_teensy(folder / "teensy")
     size = sizes(sketch)
     found["teensy_flash_bytes"], found["teensy_ram_bytes"] = size["flash"], size["ram"]
     found["teensy_tick_stack_bytes"] = stack_bound(folder, "teensy", "alula_teensy_tick")
     found |= loop_figures(folder / "loop")
-    found["fused_instructions"] = fused([*app, *sketch])
-    found["unknown_symbols"] = sorted(foreign(app, FIRMWARE) | foreign(sketch, SKETCH))
+    found["fused_instructions"] = fused([*app, *more, *sketch])
+    found["unknown_symbols"] = sorted(
+        foreign(app, FIRMWARE) | foreign(more, FIRMWARE) | foreign(sketch, SKETCH)
+    )
     return found
 
 
@@ -261,6 +281,7 @@ def complaints(figures: dict[str, Any]) -> list[str]:
     limits = {f"crazyflie_{hulls}_flash_bytes": crazyflie.flash_bytes for hulls in FIELDS} | {
         "crazyflie_ram_bytes": crazyflie.ram_bytes - APP_STACK_BYTES,
         "crazyflie_app_stack_bytes": APP_STACK_BYTES,
+        "crazyflie_obstacles_app_stack_bytes": MORE_STACK_BYTES,
         "teensy_flash_bytes": teensy.flash_bytes,
         "teensy_ram_bytes": teensy.ram_bytes,
         "teensy_flight_differs": 0,
@@ -269,6 +290,10 @@ def complaints(figures: dict[str, Any]) -> list[str]:
     found += [
         f"{name} is {figures[name]}, above {limit}" for name, limit in limits.items() if figures[name] > limit
     ]
+    for obstacles in OBSTACLES:
+        name = f"crazyflie_{obstacles}_obstacles_ram_bytes"
+        if figures[name] > (promised := crazyflie.state_bytes(obstacles)):
+            found.append(f"{name} is {figures[name]}; `export` counts {promised}")
     return found
 
 

@@ -142,17 +142,20 @@ def test_the_firmware_declares_what_the_stand_ins_declare(real, tmp_path):
     assert "conflicting" in complaint(real, f"{code}\ndouble logGetFloat(logVarId_t id);", tmp_path)
 
 
-def test_the_app_compiles_with_the_firmwares_headers(real, tmp_path):
+@pytest.mark.parametrize("obstacles", [0, 4])
+def test_the_app_compiles_with_the_firmwares_headers(real, obstacles, tmp_path):
     sources = sorted((APP / "src").glob("*.c"))
-    assert len(sources) == 3
+    assert len(sources) == 4
+    words = [*real, *STRICT, *OURS, f"-I{APP / 'src'}"]
+    if obstacles:
+        words += [f"-DALULA_CRAZYFLIE_OBSTACLES={obstacles}U", f"-DALULA_OBSTACLES={obstacles}U"]
     for source in sources:
-        assert (
-            complaint([*real, *STRICT, *OURS, f"-I{APP / 'src'}"], f'#include "{source}"\n', tmp_path) == ""
-        )
+        assert complaint(words, f'#include "{source}"\n', tmp_path) == ""
 
 
 @pytest.mark.slow
-def test_the_image_with_150_hulls_links_and_leaves_room(firmware, tmp_path, monkeypatch):
+@pytest.mark.parametrize("obstacles", [0, 4])
+def test_the_image_with_150_hulls_links_and_leaves_room(firmware, obstacles, tmp_path, monkeypatch):
     for needed in ("vendor/libdw1000/inc", "vendor/CMSIS/CMSIS/DSP/Source/CommonTables/arm_common_tables.c"):
         if not (firmware / needed).exists():
             pytest.skip(f"ALULA_CRAZYFLIE_FIRMWARE: {firmware} lacks {needed}")
@@ -164,6 +167,8 @@ def test_the_image_with_150_hulls_links_and_leaves_room(firmware, tmp_path, monk
     app = tmp_path / "onboard/targets/crazyflie"
     glue.map_header(app / "src", 150)
     words = ["make", "-C", str(app), f"CRAZYFLIE_BASE={firmware}"]
+    if obstacles:
+        words.append(f"OBSTACLES={obstacles}")
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
     rows = re.findall(r"^(Flash|RAM  ) \| +(\d+)/(\d+)", done.stdout, re.MULTILINE)

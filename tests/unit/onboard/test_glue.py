@@ -55,6 +55,8 @@ def test_the_loop_sends_the_same_frames_on_the_emulated_core(measured):
         "crazyflie_1000_flash_bytes",
         "crazyflie_ram_bytes",
         "crazyflie_app_stack_bytes",
+        "crazyflie_4_obstacles_ram_bytes",
+        "crazyflie_obstacles_app_stack_bytes",
         "teensy_ram_bytes",
         "teensy_flight_differs",
         "m7_teensy_tick_instructions",
@@ -103,8 +105,16 @@ def test_the_firmwares_build_is_given_all_sources_and_flags(tmp_path):
         "all:\n\t@echo '$(OOT)|$(OOT_CONFIG)|$(EXTRA_CFLAGS)'\n", encoding="utf-8"
     )
     words = ["make", "-s", "-C", str(CRAZYFLIE), f"CRAZYFLIE_BASE={tmp_path}"]
-    out = subprocess.run(words, capture_output=True, text=True, check=True).stdout.strip()
-    folder, config, flags = out.split("|")
+
+    def given(*more):
+        out = subprocess.run([*words, *more], capture_output=True, text=True, check=True).stdout.strip()
+        return out.split("|")
+
+    folder, config, flags = given()
+    _, other, more = given("OBSTACLES=3")
+    assert "-DALULA_CRAZYFLIE_OBSTACLES=3U" in more.split()
+    settings = dict(line.split("=") for line in Path(other).read_text().splitlines())
+    assert 4 * int(settings["CONFIG_APP_STACKSIZE"]) == glue.MORE_STACK_BYTES
     assert Path(folder) == CRAZYFLIE
     assert (CRAZYFLIE / "Kbuild").read_text() == "obj-y += src/\n"
     assert "-ffp-contract=off" in flags.split()

@@ -39,7 +39,7 @@ static uint32_t take(HardwareSerial& port, uint8_t* bytes) {
 
 static void report() {
   const char* const names[] = {"no receiver", "override", "override lost", "locked",    "passed",
-                               "blended",     "backup",   "no pilot",      "hand over", "lost"};
+                               "blended",     "backup",   "no pilot",      "hand over", "lost",     "guided"};
   if (!is_ready) {
     Serial.println("fence or parameters refused: no frames");
     return;

@@ -26,6 +26,7 @@ alula_teensy_config alula_teensy_defaults(void) {
   config.yaw = 3U;
   config.override_channel = 7U;
   config.level_channel = ALULA_TEENSY_NO_CHANNEL;
+  config.velocity_channel = ALULA_TEENSY_NO_CHANNEL;
   config.switch_above = 1400U;
   config.radio_limit_us = 100000U;
   config.give_up_us = 20000000U;
@@ -33,10 +34,11 @@ alula_teensy_config alula_teensy_defaults(void) {
 }
 
 static int channels_are_good(const alula_teensy_config* c) {
-  const uint32_t used[6] = {c->roll, c->pitch, c->throttle, c->yaw, c->override_channel, c->level_channel};
+  const uint32_t used[7] = {c->roll,          c->pitch,           c->throttle, c->yaw, c->override_channel,
+                            c->level_channel, c->velocity_channel};
   uint32_t seen = 0U;
-  for (int i = 0; i < 6; ++i) {
-    if (i == 5 && used[i] == ALULA_TEENSY_NO_CHANNEL) continue;
+  for (int i = 0; i < 7; ++i) {
+    if (i >= 5 && used[i] == ALULA_TEENSY_NO_CHANNEL) continue;
     if (used[i] >= ALULA_SBUS_CHANNELS || (seen >> used[i] & 1U) != 0U) return 0;
     seen |= 1U << used[i];
   }
@@ -56,6 +58,8 @@ alula_status alula_teensy_init(alula_teensy_loop* loop, const alula_fence* fence
     if (!(most <= config->geofence.model.max_rate[i] * OVER_FULL)) return ALULA_BAD_PARAMETER;
   }
   loop->config = *config;
+  loop->velocity = 0;
+  loop->is_guided = 0;
   alula_sbus_begin(&loop->receiver);
   alula_navigation_begin(&loop->link);
   loop->has_heard = loop->is_silent = loop->has_navigation = loop->is_new = loop->has_flown = 0;
@@ -188,6 +192,10 @@ static alula_teensy_status put_outcome(alula_teensy_loop* loop, alula_geofence_s
   if (outcome != ALULA_GEOFENCE_REFUSED) loop->has_flown = 1;
   switch (outcome) {
     case ALULA_GEOFENCE_PASSED:
+      if (loop->is_guided) {
+        put_command(loop, &loop->result.command);
+        return ALULA_TEENSY_GUIDED;
+      }
       forget_carry(loop);
       return ALULA_TEENSY_PASSED;
     case ALULA_GEOFENCE_BLENDED:
@@ -216,6 +224,29 @@ static alula_teensy_status put_outcome(alula_teensy_loop* loop, alula_geofence_s
   return ALULA_TEENSY_LOST;
 }
 
+static float deflection(const alula_teensy_config* c, int i, const alula_sbus_frame* frame) {
+  const float us = microseconds(frame->channel[stick(c, i)]);
+  const float x =
+      i > 0 ? (us - c->rates.middle_us) / SPAN_US : 2.0F * from_channel(c, 0, frame->channel[stick(c, 0)]) - 1.0F;
+  return x < -1.0F ? -1.0F : (x > 1.0F ? 1.0F : x);
+}
+
+/* The stack's command for sticks that are velocities, null without one; the pilot's own when they are not. */
+static const alula_racer_command* guide(alula_teensy_loop* loop, const alula_racer_command* pilot) {
+  const alula_teensy_config* c = &loop->config;
+  loop->is_guided = 0;
+  if (!loop->velocity || c->velocity_channel == ALULA_TEENSY_NO_CHANNEL) return pilot;
+  if (!pilot || loop->override_on || loop->heard.channel[c->velocity_channel] <= c->switch_above) {
+    alula_teensy_velocity_reset(loop->velocity);
+    return pilot;
+  }
+  const float sticks[3] = {deflection(c, 2, &loop->heard), deflection(c, 1, &loop->heard),
+                           deflection(c, 0, &loop->heard)};
+  loop->is_guided = 1;
+  return alula_teensy_velocity_tick(loop->velocity, loop->is_new ? &loop->navigation.state : 0, sticks,
+                                    pilot->rates[2]);
+}
+
 /* Counts the time without frames. The clock wraps after 71 minutes; this count must not. */
 static void count_silence(alula_teensy_loop* loop, uint32_t now_us) {
   const uint32_t more = now_us - loop->counted_us;
@@ -238,8 +269,9 @@ alula_teensy_status alula_teensy_tick(alula_teensy_loop* loop, uint32_t now_us, 
     }
   }
   /* in every tick, because it counts the age of its navigation */
-  const alula_geofence_status outcome = alula_geofence_filter(
-      &loop->geofence, loop->is_new ? &loop->navigation.state : 0, has_pilot ? &pilot : 0, &loop->result);
+  const alula_geofence_status outcome =
+      alula_geofence_filter(&loop->geofence, loop->is_new ? &loop->navigation.state : 0,
+                            guide(loop, has_pilot ? &pilot : 0), &loop->result);
   loop->is_new = 0;
 
   alula_teensy_status status = ALULA_TEENSY_NO_RECEIVER;

@@ -8,7 +8,8 @@
  *   override switch on, receiver silent     that frame with the failsafe flag: the flight controller's own procedure
  *   geofence REFUSED, nothing flown yet,    sticks centred, no throttle: no take-off without navigation
  *     nor any throttle by the override
- *   geofence PASSED                         the receiver's last frame, bit by bit
+ *   geofence PASSED                         the receiver's last frame, bit by bit; with sticks as velocities
+ *                                           (teensy_velocity.h), the command of the stack
  *   BLENDED, BACKUP, NO_PILOT               the geofence's command in the four sticks; failsafe and lost flags clear,
  *                                           because the flight controller would otherwise drop the command
  *   HAND_OVER                               its command, a level attitude from the last state, sinking; with a
@@ -41,6 +42,7 @@
 #include "alula_navigation_link.h"
 #include "alula_rates.h"
 #include "alula_sbus.h"
+#include "teensy_velocity.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -55,6 +57,7 @@ typedef struct {
   uint8_t roll, pitch, throttle, yaw; /* channels, from 0 */
   uint8_t override_channel;           /* of a switch that only the pilot moves */
   uint8_t level_channel;              /* selects the flight controller's level mode, or ALULA_TEENSY_NO_CHANNEL */
+  uint8_t velocity_channel;           /* on: sticks are velocities, or ALULA_TEENSY_NO_CHANNEL */
   uint16_t switch_above;              /* a channel above this value is on */
   uint32_t radio_limit_us, give_up_us;
 } alula_teensy_config;
@@ -72,13 +75,16 @@ typedef enum {
   ALULA_TEENSY_BACKUP,
   ALULA_TEENSY_NO_PILOT,
   ALULA_TEENSY_HAND_OVER,
-  ALULA_TEENSY_LOST
+  ALULA_TEENSY_LOST,
+  ALULA_TEENSY_GUIDED /* PASSED, of a command of the stack */
 } alula_teensy_status;
 
-/* One per vehicle; the fields are private, except `result`, `sent` and the counts. */
+/* One per vehicle; the fields are private, except `velocity`, `result`, `sent` and the counts. */
 typedef struct {
   alula_teensy_config config;
   alula_geofence geofence;
+  alula_teensy_velocity* velocity; /* null, or set by the caller after init */
+  int is_guided;                   /* in this period */
   alula_sbus_parser receiver;
   alula_navigation_parser link;
   alula_sbus_frame heard; /* the last good one */

@@ -50,8 +50,26 @@ static bool is_same(const alula_crazyflie_config* a, const alula_crazyflie_confi
   for (uint32_t i = 0; i < sizeof one / sizeof one[0]; ++i) {
     if (one[i] != other[i] && (one[i] == one[i] || other[i] == other[i])) return false;
   }
+#if ALULA_CRAZYFLIE_OBSTACLES > 0U
+  for (int i = 0; i < 3; ++i)
+    if (a->lower[i] != b->lower[i] || a->upper[i] != b->upper[i]) return false;
+  if (a->fenced != b->fenced) return false;
+#endif
   return a->enabled == b->enabled && a->attitude == b->attitude;
 }
+
+#if ALULA_CRAZYFLIE_OBSTACLES > 0U
+static alula_crazyflie_obstacle obstacle; /* parameters; `id` is written last and becomes 0 when it was taken */
+static uint32_t refusedObstacles;
+
+static void take_report(void) {
+  if (obstacle.id == 0U) return;
+  if (!alula_crazyflie_report(&filter, &obstacle)) ++refusedObstacles;
+  obstacle.id = 0U;
+}
+#else
+static void take_report(void) {}
+#endif
 
 /* The parameters with the period of the divider. */
 static alula_crazyflie_config parameters(void) {
@@ -75,6 +93,7 @@ void appMain() {
       tried = now;
       if (!alula_crazyflie_configure(&filter, &now)) ++refusedParameters;
     }
+    take_report();
     const uint64_t begin = usecTimestamp();
     if (alula_crazyflie_work(&filter)) work_us = (uint32_t)(usecTimestamp() - begin);
   }
@@ -161,6 +180,34 @@ PARAM_ADD(PARAM_FLOAT, vmax, &wanted.v_max)
 PARAM_ADD(PARAM_FLOAT, gain, &wanted.gain)
 PARAM_ADD(PARAM_FLOAT, variance, &wanted.variance)
 PARAM_GROUP_STOP(alula)
+
+#if ALULA_CRAZYFLIE_OBSTACLES > 0U
+PARAM_GROUP_START(alulaBox)
+PARAM_ADD(PARAM_UINT8, enable, &wanted.fenced)
+PARAM_ADD(PARAM_FLOAT, lowX, &wanted.lower[0])
+PARAM_ADD(PARAM_FLOAT, lowY, &wanted.lower[1])
+PARAM_ADD(PARAM_FLOAT, lowZ, &wanted.lower[2])
+PARAM_ADD(PARAM_FLOAT, highX, &wanted.upper[0])
+PARAM_ADD(PARAM_FLOAT, highY, &wanted.upper[1])
+PARAM_ADD(PARAM_FLOAT, highZ, &wanted.upper[2])
+PARAM_GROUP_STOP(alulaBox)
+
+PARAM_GROUP_START(alulaBall)
+PARAM_ADD(PARAM_FLOAT, x, &obstacle.position[0])
+PARAM_ADD(PARAM_FLOAT, y, &obstacle.position[1])
+PARAM_ADD(PARAM_FLOAT, z, &obstacle.position[2])
+PARAM_ADD(PARAM_FLOAT, vx, &obstacle.velocity[0])
+PARAM_ADD(PARAM_FLOAT, vy, &obstacle.velocity[1])
+PARAM_ADD(PARAM_FLOAT, vz, &obstacle.velocity[2])
+PARAM_ADD(PARAM_FLOAT, radius, &obstacle.radius_m)
+PARAM_ADD(PARAM_UINT8, id, &obstacle.id)
+PARAM_GROUP_STOP(alulaBall)
+
+LOG_GROUP_START(alulaBall)
+LOG_ADD(LOG_UINT32, known, &filter.track_count)
+LOG_ADD(LOG_UINT32, refused, &refusedObstacles)
+LOG_GROUP_STOP(alulaBall)
+#endif
 
 LOG_GROUP_START(alula)
 LOG_ADD(LOG_FLOAT, h, &filter.margin_m)

@@ -3,7 +3,8 @@
 #define LARGEST_GAIN 20.0F
 #define LARGEST_SPEED 20.0F
 #define LARGEST_WISH 1.0e6F
-#define FLAT 1.0e-3F /* squared length of the heading's projection below which the yaw is undefined */
+#define LARGEST_FAR 1.0e3F /* of an obstacle */
+#define FLAT 1.0e-3F       /* squared length of the heading's projection below which the yaw is undefined */
 
 alula_crazyflie_config alula_crazyflie_defaults(void) {
   const alula_polytope_cbf_config filter = ALULA_POLYTOPE_CBF_DEFAULTS;
@@ -17,6 +18,13 @@ alula_crazyflie_config alula_crazyflie_defaults(void) {
   config.variance = 0.0025F;
   config.enabled = 1U;
   config.attitude = 0U;
+#if ALULA_CRAZYFLIE_OBSTACLES > 0U
+  config.fenced = 0U;
+  for (int i = 0; i < 3; ++i) {
+    config.lower[i] = -1.0F;
+    config.upper[i] = 1.0F;
+  }
+#endif
   return config;
 }
 
@@ -33,16 +41,48 @@ static int config_is_good(const alula_crazyflie_config* c) {
          c->variance <= 1.0F && c->period_s >= 0.001F && c->period_s <= 0.1F;
 }
 
-int alula_crazyflie_configure(alula_crazyflie_filter* filter, const alula_crazyflie_config* config) {
+#if ALULA_CRAZYFLIE_OBSTACLES > 0U
+static int open_filter(alula_crazyflie_filter* filter, const alula_polytope_cbf_config* wanted,
+                       const alula_crazyflie_config* config) {
+  alula_stack_config c = alula_stack_defaults();
+  c.polytope_cbf = *wanted;
+  c.extent_m = ALULA_CRAZYFLIE_EXTENT;
+  c.lag_s = config->lag;
+  c.dr_acbf.v_max = wanted->v_max;
+  c.dr_acbf.avoidance.dt_s = wanted->dt_s;
+  c.dr_acbf.avoidance.radius_m = wanted->radius_m;
+  c.dr_acbf.avoidance.latency_s = wanted->dt_s; /* positions are those at which the command begins */
+  const alula_fence none = {.has_box = 0};
+  filter->fence = none;
+  filter->fence.has_box = config->fenced != 0U;
+  for (int i = 0; i < 3; ++i) {
+    filter->fence.lower[i] = config->lower[i];
+    filter->fence.upper[i] = config->upper[i];
+  }
+  return alula_stack_init(&filter->stack, &filter->map, config->fenced ? &filter->fence : 0, &c) == ALULA_READY;
+}
+#else
+static int open_filter(alula_crazyflie_filter* filter, const alula_polytope_cbf_config* wanted,
+                       const alula_crazyflie_config* config) {
+  return alula_chord_open(&filter->chord, &filter->map, ALULA_CRAZYFLIE_EXTENT, wanted, config->lag) == ALULA_READY;
+}
+#endif
+
+static int apply(alula_crazyflie_filter* filter, const alula_crazyflie_config* config) {
   alula_polytope_cbf_config wanted = ALULA_POLYTOPE_CBF_DEFAULTS;
   wanted.radius_m = config->radius_m;
   wanted.beta = config->beta;
   wanted.dt_s = config->period_s;
   wanted.v_max = config->v_max;
+  return open_filter(filter, &wanted, config);
+}
+
+int alula_crazyflie_configure(alula_crazyflie_filter* filter, const alula_crazyflie_config* config) {
   if (!filter->map.data || !config_is_good(config)) return 0;
-  /* refused parameters leave the filter unchanged */
-  if (alula_chord_open(&filter->chord, &filter->map, ALULA_CRAZYFLIE_EXTENT, &wanted, config->lag) != ALULA_READY)
+  if (!apply(filter, config)) {
+    if (filter->is_open) filter->is_open = apply(filter, &filter->config); /* the last ones were accepted */
     return 0;
+  }
   filter->config = *config;
   return 1;
 }
@@ -70,6 +110,9 @@ int alula_crazyflie_open(alula_crazyflie_filter* filter, const uint8_t* image, u
   filter->still_way = 0.0F;
   filter->late = filter->corrections = 0U;
   filter->margin_m = 0.0F;
+#if ALULA_CRAZYFLIE_OBSTACLES > 0U
+  filter->track_count = 0U;
+#endif
   for (int i = 0; i < 6; ++i) filter->seen[i] = 0.0F;
   set_through(&filter->output, ALULA_CRAZYFLIE_NOT_READY);
   if (alula_map_open(&filter->map, image, length) != ALULA_MAP_READY) return 0;
@@ -245,10 +288,75 @@ void alula_crazyflie_step(alula_crazyflie_filter* filter, const alula_crazyflie_
   *output = filter->output;
 }
 
+#if ALULA_CRAZYFLIE_OBSTACLES > 0U
+int alula_crazyflie_report(alula_crazyflie_filter* filter, const alula_crazyflie_obstacle* obstacle) {
+  static const float POSITION = 2.5e-3F, VELOCITY = 0.04F; /* variances: 0.05 m, 0.2 m/s */
+  static const uint32_t DIAGONAL[6] = {0U, 2U, 5U, 9U, 14U, 20U};
+  if (obstacle->id == 0U || !(obstacle->radius_m >= 0.0F && obstacle->radius_m <= 10.0F)) return 0;
+  for (int i = 0; i < 3; ++i) {
+    const float x = obstacle->position[i], v = obstacle->velocity[i];
+    if (!(x >= -LARGEST_FAR && x <= LARGEST_FAR && v >= -LARGEST_FAR && v <= LARGEST_FAR)) return 0; /* also NaN */
+  }
+  uint32_t at = 0U;
+  while (at < filter->track_count && filter->track[at].id != obstacle->id) ++at;
+  if (at == ALULA_CRAZYFLIE_OBSTACLES) return 0;
+  if (at == filter->track_count) ++filter->track_count;
+  static const alula_track NONE;
+  alula_track* track = filter->track + at;
+  *track = NONE;
+  track->id = obstacle->id;
+  track->radius_m = obstacle->radius_m;
+  for (int i = 0; i < 3; ++i) {
+    track->position[i] = obstacle->position[i];
+    track->velocity[i] = obstacle->velocity[i];
+  }
+  for (int i = 0; i < 6; ++i) track->covariance[DIAGONAL[i]] = i < 3 ? POSITION : VELOCITY;
+  filter->age_s[at] = 0.0F;
+  return 1;
+}
+
+/* Obstacles fly straight on for a period; those without a report for long are forgotten. */
+static void move_obstacles(alula_crazyflie_filter* filter) {
+  const float period_s = filter->config.period_s;
+  uint32_t left = 0U;
+  for (uint32_t k = 0; k < filter->track_count; ++k) {
+    const float age_s = filter->age_s[k] + period_s;
+    if (age_s > ALULA_CRAZYFLIE_FORGOTTEN_S) continue;
+    alula_track* track = filter->track + left;
+    *track = filter->track[k];
+    for (int i = 0; i < 3; ++i) track->position[i] += period_s * track->velocity[i];
+    filter->age_s[left++] = age_s;
+  }
+  filter->track_count = left;
+}
+
+static alula_filter_status answer(alula_crazyflie_filter* filter) {
+  alula_stack_input in;
+  alula_stack_result result;
+  move_obstacles(filter); /* to the time at which the velocity begins */
+  for (int i = 0; i < 3; ++i) {
+    in.position[i] = filter->at[i];
+    in.velocity[i] = filter->moving[i];
+    in.nominal[i] = filter->nominal[i];
+  }
+  for (int i = 0; i < 6; ++i) in.covariance[i] = 0.0F; /* radius has the errors of position */
+  in.track = filter->track;
+  in.track_count = filter->track_count;
+  in.is_taking_off = filter->from_the_ground;
+  const alula_filter_status status = alula_stack_filter(&filter->stack, &in, &result);
+  filter->result = result.chord;
+  return status;
+}
+#else
+static alula_filter_status answer(alula_crazyflie_filter* filter) {
+  return alula_chord_filter(&filter->chord, filter->at, filter->moving, filter->nominal, filter->from_the_ground,
+                            &filter->result);
+}
+#endif
+
 int alula_crazyflie_work(alula_crazyflie_filter* filter) {
   if (__atomic_load_n(&filter->turn, __ATOMIC_ACQUIRE) != ALULA_CRAZYFLIE_POSTED) return 0;
-  filter->answer = alula_chord_filter(&filter->chord, filter->at, filter->moving, filter->nominal,
-                                      filter->from_the_ground, &filter->result);
+  filter->answer = answer(filter);
   __atomic_store_n(&filter->turn, ALULA_CRAZYFLIE_DONE, __ATOMIC_RELEASE);
   return 1;
 }

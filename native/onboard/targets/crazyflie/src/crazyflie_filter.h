@@ -27,12 +27,26 @@
  *   position                            the nominal command gain (p_set - p), at most v_max
  *   any other axis off (attitude)       zero velocity; with `attitude` set, itself, unguarded
  *
- * One frame, metres, seconds; freestanding C99. Tick: alula_chord.h.
+ * With ALULA_CRAZYFLIE_OBSTACLES the filter is that of alula_stack.h, in a box and among moving obstacles. An
+ * obstacle is reported again and again; between reports it flies straight on, and after ALULA_CRAZYFLIE_FORGOTTEN_S
+ * without one it is forgotten. The variances of a report are those of a tracker that updates 20 times a second.
+ *
+ * One frame, metres, seconds; freestanding C99. Tick: alula_chord.h, alula_stack.h.
  */
 #ifndef ALULA_CRAZYFLIE_FILTER_H
 #define ALULA_CRAZYFLIE_FILTER_H
 
 #include "alula_chord.h"
+
+#ifndef ALULA_CRAZYFLIE_OBSTACLES
+#define ALULA_CRAZYFLIE_OBSTACLES 0U /* at most so many moving ones; 0: neither obstacles nor a fence */
+#endif
+#if ALULA_CRAZYFLIE_OBSTACLES > 0U
+#include "alula_stack.h"
+#if ALULA_CRAZYFLIE_OBSTACLES > ALULA_OBSTACLES
+#error "define ALULA_OBSTACLES too"
+#endif
+#endif
 
 #ifdef __cplusplus
 extern "C" {
@@ -54,7 +68,19 @@ typedef struct {
   float variance;   /* maximum accepted variance of the position [m^2] */
   uint8_t enabled;  /* 0: set-points pass unchanged */
   uint8_t attitude; /* 1: set-points of attitude and thrust pass unchanged */
+#if ALULA_CRAZYFLIE_OBSTACLES > 0U
+  uint8_t fenced; /* 1: keeps in the box */
+  float lower[3], upper[3];
+#endif
 } alula_crazyflie_config;
+
+#define ALULA_CRAZYFLIE_FORGOTTEN_S 1.0F
+
+/* A report of a moving obstacle. */
+typedef struct {
+  uint8_t id; /* 1 to 255 */
+  float position[3], velocity[3], radius_m;
+} alula_crazyflie_obstacle;
 
 alula_crazyflie_config alula_crazyflie_defaults(void);
 
@@ -102,7 +128,15 @@ typedef enum { ALULA_CRAZYFLIE_FREE = 0, ALULA_CRAZYFLIE_POSTED, ALULA_CRAZYFLIE
 /* Initialised by alula_crazyflie_open; one per vehicle. The fields are private, except the counts. */
 typedef struct {
   alula_map map;
+#if ALULA_CRAZYFLIE_OBSTACLES > 0U
+  alula_stack stack; /* used by the working task only, as all of these */
+  alula_fence fence;
+  alula_track track[ALULA_CRAZYFLIE_OBSTACLES];
+  float age_s[ALULA_CRAZYFLIE_OBSTACLES];
+  uint32_t track_count;
+#else
   alula_chord chord; /* used by the working task only */
+#endif
   alula_crazyflie_config config;
   int is_open;
   volatile uint32_t turn;
@@ -136,6 +170,12 @@ void alula_crazyflie_step(alula_crazyflie_filter* filter, const alula_crazyflie_
 
 /* Call it from the loop after an interruption: the command and the request are for another position. */
 void alula_crazyflie_restart(alula_crazyflie_filter* filter);
+
+#if ALULA_CRAZYFLIE_OBSTACLES > 0U
+/* Takes a report of an obstacle; call it from the working task. Zero when it cannot be used, or too many are known.
+ */
+ALULA_MUST_USE int alula_crazyflie_report(alula_crazyflie_filter* filter, const alula_crazyflie_obstacle* obstacle);
+#endif
 
 /* Processes the posted request, if any; nonzero when there was one. */
 int alula_crazyflie_work(alula_crazyflie_filter* filter);
