@@ -77,7 +77,8 @@ def test_lost_satellites_land_px4_before_its_own_flags_change(tmp_path):
 
 def test_an_estimate_that_slips_from_its_satellites_lands_px4(tmp_path):
     """An antenna that seems 3.3 m ahead: fixes and flags stay good, and it landed there with exit code 0."""
-    with px4(tmp_path) as sim, flight(sim, tmp_path, *SIH) as fly:
+    plan = line_plan(START, GOAL, 36.0)
+    with px4(tmp_path) as sim, flight(sim, tmp_path, "--near", "1.0", *SIH, plan=plan) as fly:
         fly.wait_for("flying the plan")
         time.sleep(3.0)
         jumped_s = time.monotonic()
