@@ -51,7 +51,7 @@ setup: ## make the environment in .venv/
 .venv/bin/pip:
 	.ci/system-packages "$$(.ci/find-python)"
 	@echo "making .venv, with what compiles the native code"
-	@"$$(.ci/find-python)" -m venv .venv
+	@.ci/make-venv "$$(.ci/find-python)"
 
 # The two are installed side by side: no package is in both.
 .venv/.native: .ci/native.lock | $(BIN)/pip
@@ -61,7 +61,6 @@ setup: ## make the environment in .venv/
 .venv/.view: .ci/demo.lock | $(BIN)/pip
 	@echo "installing the packages of the pipeline and of its pictures"
 	@$(LOCKED) --no-deps -r .ci/demo.lock
-	@[ -e .venv/.dependencies ] || $(BIN)/pip uninstall -qy setuptools # which Python 3.11 puts into every environment
 	@touch $@
 
 .venv/.demo: .venv/.view | .venv/.native

@@ -1,11 +1,13 @@
 import gc
 import os
 import signal
+import sys
 from collections import Counter
 from pathlib import Path
 
 import hypothesis
 import pytest
+from _pytest.assertion import rewrite
 
 from support.effort import ALL
 
@@ -65,17 +67,36 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.process)
 
 
-_THRESHOLD = gc.get_threshold()
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Rewrite the assertions of a share of the modules; each worker would rewrite all of them."""
+    if "PYTEST_XDIST_WORKER" not in os.environ or sys.dont_write_bytecode:
+        return
+    number, count = int(os.environ["PYTEST_XDIST_WORKER"][2:]), int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
+    for path in sorted(Path(__file__).parent.rglob("test_*.py"))[number::count]:
+        compiled = rewrite.get_cache_dir(path) / (path.stem + rewrite.PYC_TAIL)
+        if not compiled.exists() and rewrite.try_makedirs(compiled.parent):
+            source_hash, code = rewrite._rewrite_test(path, session.config)
+            rewrite._write_pyc(session.config.stash[rewrite.assertstate_key], code, source_hash, compiled)
+
+
+_THRESHOLD, _COLLECT = gc.get_threshold(), gc.collect
 
 
 def pytest_collection_finish() -> None:
-    """Flights collect garbage before they begin: what the collection of tests left is no part of that."""
+    """Leave garbage alone: flights make many small objects, and nearly no circles of them.
+
+    Flights collect it before they begin, which takes long beside all that tests hold; a worker keeps no
+    rate.
+    """
     gc.collect()
     gc.freeze()
-    gc.set_threshold(100_000, 50, 100)  # flights make many small objects, and nearly no circles of them
+    gc.set_threshold(100_000, 50, 100)
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        gc.collect = lambda generation=2: 0
 
 
 def pytest_sessionfinish() -> None:
-    """Undo `gc.freeze`."""
+    """Undo `pytest_collection_finish`."""
+    gc.collect = _COLLECT
     gc.unfreeze()
     gc.set_threshold(*_THRESHOLD)

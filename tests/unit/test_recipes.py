@@ -31,6 +31,7 @@ def follow(sections, tmp_path):
     return do
 
 
+@pytest.mark.slow
 def test_a_stage_and_its_command(follow, pipeline, tmp_path):
     scratch = follow("A stage and its command")
     out = tmp_path / "thin.voxels.npz"
@@ -81,6 +82,7 @@ def test_a_vehicle(follow, pipeline, tmp_path):
     assert "radius 0.05 m" in json.loads(out.with_suffix(".json").read_text())["vehicle"]
 
 
+@pytest.mark.slow
 def test_a_new_version_of_an_artifact(follow, pipeline, tmp_path):
     scratch = follow("A new version of an artifact")
     out = tmp_path / "new.voxels.npz"

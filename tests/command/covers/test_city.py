@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pytest
 
 from alula.cli.main import run
 from alula.schemas.artifacts.artifact import encode_artifact
@@ -22,6 +23,7 @@ def write_tile(path, x, rng, count=300):
     path.write_bytes(rows.tobytes())
 
 
+@pytest.mark.slow
 def test_from_files_to_verified_tiles(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     rng = np.random.default_rng(2)

@@ -129,6 +129,7 @@ def test_flights_among_hulls_hold_the_scene_for_the_judge_alone(tmp_path, monkey
         assert each_needs(used) <= 130
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss has another unit")
 def test_a_scene_is_imported_and_aligned_within_a_bound_for_each_gaussian(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -146,6 +146,7 @@ def test_verify_refuses_another_suffix_and_another_kind(folder, capsys):
     assert len(capsys.readouterr().err.splitlines()) == 3
 
 
+@pytest.mark.slow
 def test_the_whole_chain_is_proven_on_a_real_scene(data, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     found = sorted(data.glob("cc0-corpus/**/*.ply"))

@@ -100,7 +100,7 @@ def start(*words: str) -> subprocess.Popen[str]:
     )  # fmt: skip
 
 
-@pytest.mark.every(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("signals", [("SIGINT", "SIGTERM"), ("SIGKILL", "SIGKILL")])
 def test_a_merge_that_is_killed_again_and_again_ends_in_the_same_bytes(
     tmp_path, tmp_path_factory, monkeypatch, signals

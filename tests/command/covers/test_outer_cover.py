@@ -38,7 +38,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.every(4)
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_capped_cover_is_verified_planned_around_and_flown_past(folder, capsys, shape):
     for step in (

@@ -124,6 +124,7 @@ def test_a_writer_that_dies_is_told_after_a_flight_that_went_well(fly, old, seco
     assert fly.left() == ["f.run.json", "f.run.mcap"]
 
 
+@pytest.mark.slow
 def test_a_record_that_cannot_be_written_is_told_after_the_flight(fly, monkeypatch, capsys):
     def full(record, timing):
         raise OutputError(f"{fly.record}: cannot write: No space left on device")

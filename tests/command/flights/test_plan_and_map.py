@@ -57,6 +57,7 @@ def test_maps_of_the_same_aligned_scene_are_flown_with_a_note(folder, map_name, 
     assert "is of the same scene" in note
 
 
+@pytest.mark.slow
 def test_another_map_needs_insistence_in_simulate_fly_and_verify(folder, capsys):
     """The splat is the same, but not its metres: no hash shows that the plan fits."""
     plan, other, log = (str(folder / n) for n in ("tiny.plan.npz", "other.cover.npz", "b.run.mcap"))

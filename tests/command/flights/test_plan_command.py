@@ -286,6 +286,7 @@ tolerance_m = 0.3
 """
 
 
+@pytest.mark.slow
 def test_gates_of_options_and_of_a_mission_are_planned_and_proven_and_simulated(cover, tmp_path, capsys):
     by_options, by_file, mission = (tmp_path / name for name in ("a.plan.npz", "b.plan.npz", "m.toml"))
     mission.write_text(MISSION)

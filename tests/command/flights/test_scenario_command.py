@@ -116,7 +116,7 @@ ROOM = [
 ]
 
 
-@pytest.mark.every(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_an_example_flies_and_its_filters_evade(name, tmp_path, capsys):
     write_artifact(tmp_path / "room.cover.npz", boxes_cover(ROOM))

@@ -344,6 +344,7 @@ def test_an_interrupted_run_goes_on_and_ends_in_the_same_bytes(here, monkeypatch
     assert record().timing["trials_flown"] == 1
 
 
+@pytest.mark.slow
 def test_the_run_can_be_explained_and_reported(here, capsys):
     assert run(["info", "room.toml", "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)

@@ -295,7 +295,7 @@ def test_an_interruption_after_the_last_flight_keeps_all_flights(here, where, mo
     assert not JOURNAL.exists()
 
 
-@pytest.mark.every(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["SIGINT", "SIGKILL"])
 def test_a_run_that_is_killed_loses_little(here, name):
     env = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}

@@ -227,6 +227,7 @@ def test_a_scenario_names_scene_vehicle_and_parameters(scene, tmp_path):
     assert run(["simulate", str(scenario), "-o", str(out), "--set", "safety.cone-backup.nodes=13", "-q"]) == 2
 
 
+@pytest.mark.slow
 def test_a_guide_is_recorded_and_reported_with_all_it_was_told(scene, tmp_path):
     a, b, report = tmp_path / "a.run.mcap", tmp_path / "b.run.mcap", tmp_path / "report.html"
     words = ["simulate", str(scene), *FAST, *GUIDED, "--set", "mission.which=blocked", "-q"]

@@ -168,6 +168,7 @@ def test_a_plan_of_a_century(pipeline, tmp_path, capsys):
     assert "beyond 10000 in row" in refused(words, capsys, codes=(3,))
 
 
+@pytest.mark.slow
 def test_a_sparse_json_file_is_not_read_whole(tmp_path, capsys):
     path = Path(shutil.copy(__file__, tmp_path / "a.json"))
     with path.open("r+b") as file:

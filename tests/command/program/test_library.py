@@ -302,6 +302,7 @@ def test_the_filter_of_the_guide_has_at_most_20_lines_and_brakes_before_hulls(pi
         alula.simulate(walls, filter="brake")
 
 
+@pytest.mark.slow
 def test_the_tutorial_notebook_runs_and_every_result_is_shown(tmp_path, monkeypatch):
     notebook = json.loads((EXAMPLES / "library/tutorial.ipynb").read_text())
     assert notebook["nbformat"] == 4

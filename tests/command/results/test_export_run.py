@@ -239,6 +239,7 @@ def test_the_same_run_gives_the_same_bytes_and_an_unchanged_bag_stays(folder, tm
     assert [path.name for path in tmp_path.iterdir()] == ["bag"]
 
 
+@pytest.mark.slow
 def test_a_real_flight_becomes_a_bag_even_if_its_log_was_cut(tmp_path, folder, capsys):
     from rosbags.rosbag2 import Reader
 

@@ -177,6 +177,7 @@ def test_a_changed_byte_is_found_in_its_array(folder, capsys):
     assert facts["properties"]["voxel_size_m"] == 0.05
 
 
+@pytest.mark.slow
 def test_no_changed_byte_leads_to_anything_but_the_documented_codes(folder, capsys):
     path = folder / "a.plan.npz"
     raw = path.read_bytes()

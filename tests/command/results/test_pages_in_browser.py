@@ -108,6 +108,7 @@ def check_timeline(shown, frame):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["run", *(SLOW[n] for n in VIEWS if n != "run")])
 def test_a_view_shows_its_scene_and_its_flight(name, folder, browser):
     words, colors = VIEWS[name]

@@ -210,6 +210,7 @@ def test_names_cannot_inject_anything(report, folder, tmp_path):
     assert found.inputs[0].name == evil.name
 
 
+@pytest.mark.slow
 def test_equal_inputs_give_equal_bytes(report, everything):
     first = everything
     second = report(*EVERYTHING, out="2.html")
@@ -323,6 +324,7 @@ def test_every_format_knows_what_it_was_made_from(report, tmp_path, suffix, caps
     assert path.read_text() == "a diary"
 
 
+@pytest.mark.slow
 def test_a_document_of_latex_escapes_what_latex_would_read(report, folder, tmp_path):
     log = tmp_path / "50% of_x & y$.run.mcap"
     log.write_bytes((folder / "b.run.mcap").read_bytes())

@@ -166,6 +166,7 @@ def test_cameras_of_the_source_frame_align_the_trained_scene(demo, align, traine
     assert composed["nerfstudio"]["scale"] == trained[3]
 
 
+@pytest.mark.slow
 def test_a_cloud_of_half_the_room_from_each_kind_of_first_guess(demo, align, tmp_path, capfd):
     world = transform_points(TRUTH, read_artifact(demo / "room.scene.npz")["mean"])
     half = world[world[:, 0] < 4.5]
@@ -344,6 +345,7 @@ def test_a_splat_that_its_trainer_moved_is_aligned_to_within_its_bound(demo, ali
     assert 0 < frame["position_error_m"] < found.manifest.suggested_inflation_m
 
 
+@pytest.mark.slow
 def test_cameras_in_no_frame_of_the_splat_are_refused_wherever_they_meet(demo, align, tmp_path, capsys):
     matrix = np.eye(4)
     matrix[:3, :3] = 0.4 * Rotation.from_euler("z", 40, degrees=True).as_matrix()

@@ -73,6 +73,7 @@ def test_make_knows_each_step(project):
     assert re.findall(r"-m alula\.cli ([\w-]+)", make(project, "-n").stdout)[-1] == "report"
 
 
+@pytest.mark.slow
 def test_start_and_goal_are_free_in_the_map_that_make_makes(project):
     done = make(project, "plan")
     assert done.returncode == 0, done.stderr
@@ -107,6 +108,7 @@ def test_where_the_filter_acts_ends_with_more_room_are_chosen(project, monkeypat
     assert segment_clearance(ends, ends, hulls).min() >= 0.35
 
 
+@pytest.mark.slow
 def test_a_height_or_a_scale_gives_metres(project, tmp_path, capsys):
     splat = project.parent / "my garden.ply"
     assert run(["init", str(splat), "-o", str(tmp_path / "a"), "--height", "6", "--up", "+z", "--json"]) == 0

@@ -117,6 +117,7 @@ def test_independent_errors_hardly_widen_the_intervals():
     assert np.median(found) < 0.5
 
 
+@pytest.mark.slow
 def test_euroc_intervals_of_a_drifting_estimate_contain_the_scale_of_the_whole():
     """Each quarter of the flight against the scale of all of it, which has an error too."""
     root = os.environ.get("ALULA_DATA")

@@ -130,6 +130,7 @@ def test_the_overlap_is_reported():
     assert low < fit.similarity.scale < high
 
 
+@pytest.mark.slow
 def test_it_repeats_to_the_bit():
     _, source, survey, first = case(3)
     one, two = (fit_cloud(source, survey, first, 0.1, 0.3) for _ in range(2))

@@ -107,6 +107,7 @@ def test_a_model_in_the_splats_frame_stays_as_it_is(room):
     assert found.position_error(centres.min(axis=0), centres.max(axis=0)) == 0
 
 
+@pytest.mark.every(4)
 @pytest.mark.parametrize(
     ("trainer", "kind"),
     [
@@ -144,6 +145,7 @@ def test_the_frames_of_trainers_are_found_to_within_their_bound(room, trainer, k
     assert "not in the frame of the splat" in found.warnings[0]
 
 
+@pytest.mark.slow
 def test_a_trainer_that_rounds_its_frame_is_followed_by_icp(room):
     centres, landmarks = room
     matrix = gsplat(landmarks.points[::2], landmarks.cameras[:-3], landmarks.axes[:-3])  # not all were used

@@ -120,6 +120,7 @@ def test_the_excess_is_at_most_that_of_one_block_and_a_twentieth(block):
     assert in_blocks <= 1.05 * at_once
 
 
+@pytest.mark.slow
 def test_the_result_depends_neither_on_workers_nor_on_parts():
     (alone,) = blocked(SCENE, 9, hulls=50)
     (two,) = blocked(SCENE, 9, hulls=50, jobs=2)

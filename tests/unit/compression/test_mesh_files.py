@@ -422,6 +422,7 @@ def test_mutated_maps_are_read_proven_or_refused(tmp_path):
     assert counts["read"] > 40
 
 
+@pytest.mark.slow
 def test_the_search_of_make_attack_finds_no_contradiction():
     found = search(1.0, seed=11)
     assert found.contradictions == []

@@ -369,6 +369,7 @@ def test_saved_planes_cost_no_volume_and_leave_every_voxel_covered(hulls):
     assert saved.manifest.polytopes == ("outer" if saved.manifest.requires else "hull")
 
 
+@pytest.mark.slow
 def test_the_default_map_is_smaller_than_that_of_as_many_hulls_at_the_same_volume():
     """A default of 300 hulls took 114 kB where a budget of bytes gave the same volume in 60 kB."""
     voxels = voxels_of(furniture(seed=1, extent=40))

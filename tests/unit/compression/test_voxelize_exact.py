@@ -4,6 +4,7 @@ import itertools
 from fractions import Fraction
 
 import numpy as np
+import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -14,6 +15,7 @@ from support.exact_voxels import AXES, PLACES, TURNS, form_of, rotation, touches
 OUTWARD = Fraction(5 * 512, 2**53)  # 5 q / E of voxelize.hpp: no voxel farther than this is marked
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(120), deadline=None)
 @given(
     mean=st.tuples(PLACES, PLACES, PLACES),

@@ -1,6 +1,7 @@
 """Geofencing, eqs. 16 and 18 and Theorem 1: the box, the backup set, and the continuity of the filter."""
 
 import numpy as np
+import pytest
 
 from alula import _core
 from support import racer_model as model
@@ -20,6 +21,7 @@ def test_the_distance_is_that_of_a_box_by_its_side_lengths_and_centre():
     np.testing.assert_allclose(kept[:, 3], expected - 0.5, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_the_backup_set_is_that_of_slow_ends_of_the_flow():
     states = model.random_states(8, 1, speed=15)
     values, _ = filter_in().evaluate(states)

@@ -44,7 +44,7 @@ def test_h_i_is_a_lower_bound_of_the_exact_flow_and_a_tight_one():
             assert exact - h_i <= 4 * margin + 1e-3
 
 
-@pytest.mark.every(2)
+@pytest.mark.slow
 @pytest.mark.parametrize(("tilt", "seed"), [(1.3, 0), (3.14, 1)])
 def test_what_is_flown_stays_above_the_prediction(tilt, seed):
     """u_B held for ticks of 2.5 ms on the plant, from fast states, also upside down: never below h_I."""

@@ -82,7 +82,7 @@ def test_a_crash_in_the_landing_after_the_plan_is_no_success():
     assert not flight.copter.is_armed
 
 
-@pytest.mark.every(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("start_deg", [0.0, 6.0])
 def test_a_vehicle_that_leans_into_the_wind_on_the_ground_is_made_to_notice_it(monkeypatch, start_deg):
     disturbance = msgspec.structs.replace(FASTBRIDGE.disturbance, linear_drag_n_s_m=(0.25,) * 3)

@@ -94,6 +94,7 @@ def test_each_failsafe_that_flies_home_is_judged(parameters, setting):
     assert f"({setting}) it flies home" in flight.loop.checks.failure()
 
 
+@pytest.mark.slow
 def test_the_refused_return_does_meet_the_ceiling():
     """Without this check, the same vehicle flies through the ceiling when its radio is lost."""
     made = mission(cover=box_cover(CEILING), plan=line_plan(START, GOAL, 5.0), rate_hz=50.0)

@@ -199,6 +199,7 @@ def test_a_writer_that_hangs_or_dies_costs_samples_and_no_time(tmp_path):
     assert not recorder.finish(None, timeout_s=5.0)
 
 
+@pytest.mark.slow
 def test_a_writer_that_hangs_is_given_up_at_the_end(tmp_path):
     loop, _ = fly(made := mission())
     recorder = FlightRecorder(tmp_path / "f.run.mcap", head_of(made), echo=False)
@@ -231,6 +232,7 @@ print("written", recorder.finish(None))
     )
 
 
+@pytest.mark.slow
 def test_a_full_disk_costs_the_log_and_is_said_in_one_line(tmp_path):
     small = "resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))"
     done = writer_of(tmp_path / "f.run.mcap", limit=small)
@@ -240,6 +242,7 @@ def test_a_full_disk_costs_the_log_and_is_said_in_one_line(tmp_path):
     assert len(read_logged(tmp_path / "f.run.mcap").flights.by_trial[0].time_s) > 50
 
 
+@pytest.mark.slow
 def test_a_terminal_that_is_closed_costs_no_log(tmp_path):
     read, write = os.pipe()
     os.close(read)

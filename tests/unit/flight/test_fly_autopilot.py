@@ -31,7 +31,7 @@ def among_hulls():
 COPTER = read_vehicle(VEHICLES / "arducopter.toml")
 
 
-@pytest.mark.every(2)
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "vehicle"), [(Watched, COPTER), (WatchedPx4, FASTBRIDGE)])
 def test_cone_backup_flies_around_an_ellipsoid_and_lands(kind, vehicle):
     made = mission("cone-backup", scene=BALL, is_clear=True, vehicle=vehicle)
@@ -67,7 +67,7 @@ class AsShipped(Watched):
     kind, fast = ArduCopter, INDOORS
 
 
-@pytest.mark.every(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", [2.0, 1.5])
 def test_a_climb_that_ends_below_a_ceiling_leaves_all_of_the_margin(speed):
     """With an assumed lag of 0.5 s the vehicle stops 7 cm from the ceiling, 3 cm inside the margin."""

@@ -54,6 +54,7 @@ def test_wind_that_begins_is_no_wrong_frame(ramp_s, size, at_s):
     assert held(onset(at_s, ramp_s, size), noise=0.01).wrong == ""
 
 
+@pytest.mark.slow
 @given(
     st.floats(0, 2 * np.pi), st.floats(0.2, 3.0), st.floats(0.2, 6.0), st.floats(0, 6.0), st.integers(0, 99)
 )
@@ -80,7 +81,7 @@ def test_a_mirrored_frame_is_found_in_wind(axis):
     assert "accelerate" in held(onset(1.0, 1.0, 1.0), frame=frame, plan=plan).wrong
 
 
-@pytest.mark.every(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("wind", [(6.0, 0.0, 0.0), (-4.0, -4.5, 0.0)])
 def test_the_simulated_autopilot_flies_in_wind(monkeypatch, wind):
     disturbance = msgspec.structs.replace(

@@ -15,7 +15,7 @@ FAR = ball_scene([(2.0, 9.0, 1.0)], 0.3)
 PLAN = line_plan((0.3, 2.0, 1.0), (3.7, 2.0, 1.0), 7.0)
 
 
-@pytest.mark.every(4)
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.85, 1.07, 1.2])
 def test_the_height_is_kept(factor):
     """ArduPilot's own simulation reports 0.39 and hovers at 0.365: 7 %, which was 0.19 m of height."""

@@ -24,6 +24,7 @@ class Shifted(Watched):
         super().tick(now - self.shift_s)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shift_s", some(PHASES_S[5:] + PHASES_S[:5], 10))
 def test_a_ball_is_passed(shift_s):
     """With ArduPilot's default limit of the angular acceleration, half of these flights turned over."""

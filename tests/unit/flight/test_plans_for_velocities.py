@@ -13,6 +13,7 @@ from support.lockstep import Flight
 from support.small_scenes import SLALOM
 
 
+@pytest.mark.every(4)
 @pytest.mark.parametrize("speed_m_s", [1.0, 2.0])
 @pytest.mark.parametrize("behind", [{}, {"filter": "none"}])
 def test_a_plan_is_flown_in_its_tube_if_it_was_made_behind_the_filter(tmp_path, speed_m_s, behind):

@@ -19,6 +19,7 @@ def among_hulls():
     return mission(plan=line_plan(START, GOAL, 4.5))
 
 
+@pytest.mark.slow
 def test_a_stream_that_stops_ends_in_its_own_landing_and_nothing_takes_it_back(among_hulls):
     """Set-points are lost for some time: the vehicle lands by COM_OBL_RC_ACT."""
     loop, served = fly_px4(among_hulls, Fault(kind="drop", way="in", duration=0.6))
@@ -45,6 +46,7 @@ def test_the_pilots_sticks_win_in_offboard(among_hulls):
     assert served.copter.parameters["COM_RC_OVERRIDE"] == 1  # put back
 
 
+@pytest.mark.slow
 def test_lost_satellites_land_it_before_its_own_flags_change(among_hulls):
     loop, served = fly_px4(among_hulls, Fault(kind="satellites"))
     assert loop.supervision.cause is Event.ESTIMATOR_BAD

@@ -101,7 +101,7 @@ def test_a_flight_that_is_stuck_arrives_with_a_new_plan():
     assert ticks[-1].plan_s - ticks[0].plan_s > 0.1  # and not for much longer
 
 
-@pytest.mark.every(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["no path", "raises"])
 def test_a_plan_that_failed_leaves_the_flight_as_it_was(how):
     made = blocked(replans=2)
@@ -116,6 +116,7 @@ def test_a_plan_that_failed_leaves_the_flight_as_it_was(how):
     assert any(said in words for _, words in flight.recorder.lines)
 
 
+@pytest.mark.slow
 def test_a_new_plan_passes_the_via_points_that_remain_and_keeps_what_the_filter_keeps():
     flight, _, planner = through()
     assert flight.cause is Event.PLAN_FINISHED

@@ -44,7 +44,7 @@ def worst(flight):
     return max(np.linalg.norm(estimate, axis=1).max(), bound.max())
 
 
-@pytest.mark.every(12)
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", [0.5, 1.0, 2.0])
 @pytest.mark.parametrize("name", FILTERS)
 def test_without_a_change_the_watch_is_quiet_with_room_to_spare(name, speed):
@@ -87,6 +87,7 @@ def test_a_wind_that_rises_at_once_towards_an_obstacle_is_countered(monkeypatch,
     assert max(logged) == pytest.approx(bound.max() * way)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["polytope-cbf", "cone-di"])
 def test_a_wind_that_is_too_strong_holds_and_lands(name):
     flight = fly(name, 1.0, Upset(State.FLY, 2.0, blow(0.0, -12.0, 0.0)))
@@ -114,7 +115,7 @@ def test_lost_thrust_is_seen_as_an_acceleration_downwards(name):
     assert bound.max() > 1.0
 
 
-@pytest.mark.every(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("limit_cm_s2", [250.0, 60.0])
 def test_a_vehicle_that_brakes_too_slowly_is_noticed(limit_cm_s2):
     """WPNAV_ACCEL of the vehicle is lowered in flight, which it does not tell; its plan leads into a wall."""

@@ -43,6 +43,7 @@ def test_a_plan_that_leads_down_a_step_is_flown_and_landed_at_its_foot():
     assert link.body.impact_m_s < 0.8
 
 
+@pytest.mark.slow
 def test_a_simulated_autopilot_lands_at_the_foot_of_a_step():
     made = mission(cover=box_cover(STEP), plan=rest_plan(START, GOAL, 0.8))
     terrain = Terrain(ground_of(made.cover), (START[0], START[1], 0.0))

@@ -136,7 +136,7 @@ class Slope:
         return FilterResult(u * min(1.0, self.speed / size), status, h)
 
 
-@pytest.mark.every(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("normal", [(1, 0, 1), (1, 0, -1), (1, 1, 0.4), (0.3, 0.2, 1)])
 def test_a_slope_is_not_touched_along_the_curve_of_a_stop(normal):
     """With lags that differ a stop is curved; the chord between its ends is not what has to be clear."""

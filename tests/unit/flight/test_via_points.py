@@ -35,7 +35,7 @@ def around(speed_m_s):
     return mission("polytope-cbf", cover=box_cover(PILLAR), plan=plan(config, box_cover(PILLAR)))
 
 
-@pytest.mark.every(3)
+@pytest.mark.slow
 @pytest.mark.parametrize("speed_m_s", [1.0, 2.0, 3.0])
 def test_a_vehicle_that_follows_velocities_late_passes_its_via_points(speed_m_s):
     made = around(speed_m_s)

@@ -195,6 +195,7 @@ class Px4(Served):
     kind, fast = Px4Copter, {"MPC_TKO_SPEED": 5.0, "MPC_TKO_RAMP_T": 0.25}
 
 
+@pytest.mark.slow
 def test_px4_holds_and_lands():
     found, _ = left_alone(Px4())
     assert [name for _, name in found[-2:]] == [Px4Mode.HOLD.name, Px4Mode.LAND.name]

@@ -19,7 +19,7 @@ def past_the_pillar(name="cone-backup", **words):
     return mission(name, cover=box_cover(PILLAR), plan=line_plan(START, GOAL, 8.0), vehicle=COPTER, **words)
 
 
-@pytest.mark.every(6)
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["cone-backup", "shield", "cone-ecbf"])
 @pytest.mark.parametrize("wind", [TO_PILLAR, (4.0, -4.0, 1.0)], ids=str)
 def test_a_wind_that_rises_on_the_way_blows_it_into_nothing(name, wind):
@@ -36,6 +36,7 @@ def test_a_wind_that_rises_on_the_way_blows_it_into_nothing(name, wind):
     assert found[-1].disturbance_bound_m_s2 < 0.5
 
 
+@pytest.mark.slow
 def test_a_wind_that_is_too_strong_holds_and_lands():
     flight = Flight(past_the_pillar(), [Upset(State.FLY, 2.0, blow(0.0, 9.0, 0.0))]).fly()
     assert (State.FLY, Event.MODEL_WRONG) in flight.rows

@@ -98,6 +98,7 @@ def test_limits_hold_in_exact_arithmetic_at_ten_thousand_random_times(seed):
     assert largest[1] > (Fraction(8, 10) * limits[1]) ** 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "via"), [(0, False), (2, True), pytest.param(3, True, marks=pytest.mark.slow)]
 )
@@ -343,7 +344,7 @@ def test_curves_pass_discs_along_their_normals_and_balls_anywhere(seed, is_disc,
             assert heights[0][:-1].max() < 0 < heights[1][1:].min()
 
 
-@pytest.mark.every(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("is_disc", [True, False])
 def test_with_openings_no_curve_is_faster_in_the_convex_reference(is_disc):
     corridor = with_openings(0, is_disc)

@@ -54,6 +54,7 @@ def pairs(cover):
     return np.array([point for trial in trials for point in (trial.start_m, trial.goal_m)])
 
 
+@pytest.mark.slow
 def test_free_points_are_in_the_house_unless_bounds_ask_for_the_garden():
     space = plan_space(CONFIG, GARDEN)
     assert in_house(free_points(CONFIG, space, 12)).all()
@@ -73,6 +74,7 @@ def test_random_pairs_are_in_the_house():
     assert in_house(pairs(GARDEN)).all()
 
 
+@pytest.mark.slow
 def test_free_points_and_pairs_are_above_a_known_floor():
     space = plan_space(CONFIG, OPEN)
     assert space.floor_m == 0.0

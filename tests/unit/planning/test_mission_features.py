@@ -2,12 +2,15 @@
 
 from collections import Counter
 
+import pytest
+
 from alula.schemas.errors import AlulaError
 from support.attack.missions import disagreements, features
 
 CASES = range(18)
 
 
+@pytest.mark.slow
 def test_what_is_planned_of_any_mission_is_proven_and_judged_to_fly_it():
     seen = Counter()
     for seed in CASES:

@@ -200,6 +200,7 @@ def test_archives_that_are_wrong_are_refused():
 BASE = saved(trained(parameters(4)))
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(400), deadline=None)
 @given(st.data())
 def test_any_change_of_bytes_is_read_or_refused(tmp_path_factory, data):

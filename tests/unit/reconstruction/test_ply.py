@@ -322,6 +322,7 @@ def test_two_writers_of_one_scene_agree():
         np.testing.assert_array_equal(getattr(text, field), getattr(binary, field))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["inria-ply/train-1000.ply", "cc0-corpus/leica-sofort-top8192.ply"])
 def test_open3d_reads_the_same(name, capfd):
     o3d = pytest.importorskip("open3d")

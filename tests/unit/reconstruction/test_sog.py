@@ -163,6 +163,7 @@ REAL = {
 }
 
 
+@pytest.mark.every(4)
 @pytest.mark.parametrize("name", REAL)
 def test_real_scenes_have_their_counts_and_bounds(data, monkeypatch, name):
     count, lower, upper = REAL[name]

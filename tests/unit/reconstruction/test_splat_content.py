@@ -103,6 +103,7 @@ def test_tables_of_numbers_are_never_taken(kind, seed, size):
         )
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(200), deadline=None)
 @given(st.text(min_size=1, max_size=50), st.sampled_from(["utf-8", "utf-16", "utf-32"]), st.integers(40, 300))
 def test_text_is_never_taken(text, encoding, times):

@@ -167,6 +167,7 @@ def test_gsply_reads_the_same(tmp_path, version, degree):
     agrees(read_splats(path), gsply_spz.read_spz(path))
 
 
+@pytest.mark.every(2)
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(
     ("name", "count", "lower", "upper"),

@@ -128,6 +128,7 @@ def test_the_closest_of_the_logged_flights_is_drawn():
     assert worst_flights(Material("x", runs=(run_of([1.0], flights={}),))) == []
 
 
+@pytest.mark.slow
 def test_figures_show_fence_flight_and_modes():
     material = Material("t", runs=(run_of([1.0, -1.0, 2.0]),))
     figures = {figure.name: figure for figure in draw(material)}

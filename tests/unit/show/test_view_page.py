@@ -40,6 +40,7 @@ def test_flights_follow_one_another_on_the_timeline():
     assert second["begin"] == pytest.approx(5 + GAP_S, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_a_page_is_bounded_by_fewer_gaussians_and_has_a_light_one(monkeypatch):
     for module in (pages, light):
         monkeypatch.setattr(module, "LIGHT_GAUSSIANS", 500)

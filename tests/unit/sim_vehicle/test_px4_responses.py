@@ -10,6 +10,7 @@ from support.px4_responses import MEASURED, measure
 from support.responses import Stepped
 
 
+@pytest.mark.slow
 def test_it_answers_and_takes_as_long_as_the_real_one_within_a_tenth():
     vehicle = read_vehicle(VEHICLES / "px4-sih.toml")
     found = measure(Stepped(SimulatedVehicle(Px4Copter(vehicle, seed=1), seed=1)))

@@ -82,6 +82,7 @@ def test_straight_pairs_get_stuck_at_the_wall_and_planned_ones_pass_the_door():
         assert trial.max_speed_m_s <= 1 + 1e-6
 
 
+@pytest.mark.slow
 def test_pairs_without_a_plan_are_named_and_not_flown():
     cover = box_cover(SHELL + SEALED)
     planned = simulated(cover, planned=True, which=(0, 4))
@@ -97,6 +98,7 @@ def test_pairs_without_a_plan_are_named_and_not_flown():
         simulated(cover, planned=True, which=(0,))
 
 
+@pytest.mark.slow
 def test_plans_that_were_not_flown_to_their_goals_fail_the_check():
     """The outcomes are replaced: a run with a flight that is stuck, late or off its plan is refused."""
     run = simulated(box_cover(SHELL + WALL), planned=True)

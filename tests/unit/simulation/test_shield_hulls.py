@@ -71,7 +71,7 @@ def against(which):
     return {"shield_map": which}
 
 
-@pytest.mark.every(4)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "with_scene", "which"),
     [

@@ -189,6 +189,7 @@ def test_a_signed_flight_and_a_wrong_key(tmp_path):
         pass
 
 
+@pytest.mark.slow
 def test_with_motion_capture_alone_it_arms_and_its_loss_is_seen_at_once():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))

@@ -51,6 +51,7 @@ def test_random_bytes_raise_nothing_and_change_nothing():
         assert said(link) != before  # and it still receives
 
 
+@pytest.mark.slow
 def test_of_a_real_log_all_that_pymavlink_reads_is_read_and_the_restart_in_it_is_found():
     folder = os.environ.get("ALULA_DATA")
     if not folder:
