@@ -125,7 +125,7 @@ native-thread:
 	$(call sanitized,thread,native-thread,$(filter-out $(UNTHREADED:%=%_test),$(NATIVE_TESTS)))
 
 native-fuzz: native-thread # the shorter of the two
-	.ci/fixed-addresses $(BIN)/python -P tests/support/fuzz_onboard.py --seconds 20
+	.ci/fixed-addresses $(BIN)/python -P tests/support/fuzz/fuzz_onboard.py --seconds 20
 
 onboard: setup ## run the filters on emulated microcontrollers: the host's bits, instructions, sizes, stacks
 	.ci/system-packages --onboard
@@ -133,11 +133,11 @@ onboard: setup ## run the filters on emulated microcontrollers: the host's bits,
 	$(BIN)/python -P benchmarks/glue.py
 
 fuzz: setup ## 20,000 mutated artifacts against every command; mutated splats, meshes and onboard inputs, for FUZZ_SECONDS=600 each
-	$(BIN)/python -P tests/support/fuzz_artifacts.py --most $(or $(FUZZ_MUTANTS),20000) --keep build/fuzz-artifacts
-	$(BIN)/python -P tests/support/fuzz_splats.py --seconds $(or $(FUZZ_SECONDS),600) --keep build/fuzz
-	$(BIN)/python -P tests/support/fuzz_meshes.py --seconds $(or $(FUZZ_SECONDS),600) --keep build/fuzz-meshes
+	$(BIN)/python -P tests/support/fuzz/fuzz_artifacts.py --most $(or $(FUZZ_MUTANTS),20000) --keep build/fuzz-artifacts
+	$(BIN)/python -P tests/support/fuzz/fuzz_splats.py --seconds $(or $(FUZZ_SECONDS),600) --keep build/fuzz
+	$(BIN)/python -P tests/support/fuzz/fuzz_meshes.py --seconds $(or $(FUZZ_SECONDS),600) --keep build/fuzz-meshes
 	.ci/system-packages --fuzz
-	$(BIN)/python -P tests/support/fuzz_onboard.py --seconds $(or $(FUZZ_SECONDS),600)
+	$(BIN)/python -P tests/support/fuzz/fuzz_onboard.py --seconds $(or $(FUZZ_SECONDS),600)
 
 attack: setup ## search for a false claim at random: an hour, a minute with QUICK=1; SEED=n draws other cases
 	PYTHONPATH=tests nice $(BIN)/python -P -m support.attack --seconds $(if $(QUICK),55,3600) --seed $(or $(SEED),0)

@@ -145,8 +145,8 @@ class Judge:
 def fly_simulated(folder: Path, cell: Cell) -> dict[str, Any]:
     """Fly a cell in lock-step."""
     from alula.stages.sim_vehicle.common.estimator import EstimatorOptions
-    from support.flights import mission
-    from support.lockstep import Flight
+    from support.flights.flights import mission
+    from support.vehicles.lockstep import Flight
 
     kind = FILTERS[cell.name][1]
     given = {kind: read_artifact(cell.map(folder), COVER if kind == "cover" else SCENE)}

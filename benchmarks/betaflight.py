@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from alula import _core
 from alula.schemas.scenarios.vehicle import Vehicle, read_vehicle
-from support.fence_flights import fly_in
+from support.flights.fence_flights import fly_in
 
 FloatArray = NDArray[np.float64]
 Figures = dict[str, Any]

@@ -35,8 +35,8 @@ from alula.stages.clearance import hull_obstacles, path_clearance, scene_obstacl
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard.layout import encode_map
 from alula.stages.planning.plan_samples import sample_plan
-from support.crazyflie_host import crazyflie
-from support.small_scenes import ball_scene, box_cover, line_plan
+from support.scenes.small_scenes import ball_scene, box_cover, line_plan
+from support.vehicles.crazyflie_host import crazyflie
 
 ROOT = Path(__file__).resolve().parents[1]
 VEHICLE = ROOT / "examples" / "vehicles" / "crazyflie21.toml"

@@ -418,7 +418,7 @@ def untrue(fault: Fault, row: dict[str, Any]) -> str:
 
 def make_world(folder: Path) -> None:
     """Write the corridor and the plan around its corner."""
-    from support.small_scenes import ball_scene, box_cover
+    from support.scenes.small_scenes import ball_scene, box_cover
 
     write_artifact(folder / "corridor.cover.npz", box_cover(CORRIDOR))
     write_artifact(folder / "corridor.scene.npz", ball_scene(*_tiles()))

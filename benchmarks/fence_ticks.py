@@ -24,7 +24,7 @@ from alula.schemas.artifacts.artifact import Artifact
 from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard.layout import encode_map
-from support.fence_flights import fly_in
+from support.flights.fence_flights import fly_in
 
 FloatArray = NDArray[np.float64]
 WALL = ((-100.0, -100.0, 0.5), (40.0, 100.0, 100.0))

@@ -44,14 +44,14 @@ from alula.stages.clearance import hull_obstacles, path_clearance, scene_obstacl
 from alula.stages.compression.hulls import Hulls
 from alula.stages.sim_vehicle.ardupilot.copter import ArduCopter
 from alula.stages.sim_vehicle.simulator import SimulatedVehicle
-from support.autopilot_client import EXACT
-from support.responses import Measurer, Stepped, stops
+from support.vehicles.autopilot_client import EXACT
+from support.vehicles.responses import Measurer, Stepped, stops
 
 FILTERS = {"cone-backup": "scene", "polytope-cbf": "cover"}
 START, GOAL = (0.8, 0.8, 0.9), (4.7, 3.6, 1.1)  # behind a hoop and a pillar
 VIA = (2.3, 2.7, 1.0)
 # Times in which velocities of ArduPilot's own simulation fell by 63 % after a stop [s], measured by another
-# client than that of `support.responses`.
+# client than that of `support.vehicles.responses`.
 _REAL_STOPS_S = {
     "stop_1_s": 0.74,
     "stop_2_s": 0.90,

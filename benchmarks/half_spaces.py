@@ -17,7 +17,7 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))  # half_spac
 import numpy as np
 
 from alula import _core
-from support.half_space_families import KINDS, LIMIT, MARGIN, half_spaces, roomiest
+from support.models.half_space_families import KINDS, LIMIT, MARGIN, half_spaces, roomiest
 
 _BATCH = 500
 

@@ -16,7 +16,7 @@ from alula.stages.planning.limits import Limits
 from alula.stages.planning.path import Polyline
 from alula.stages.planning.space import PlanSpace
 from alula.stages.planning.trajectory import control_points, subdivided
-from support.septic_splines import allocate_times, septic_spline
+from support.models.septic_splines import allocate_times, septic_spline
 
 _SPLITS = 4
 _PARTS = 32  # of a piece, whose control points bound its derivatives to about 0.1 %

@@ -174,7 +174,7 @@ def _by_tests(encoder: str) -> Callable[[Path, Splats], None]:
     """Write a file with the tests' encoder; a format of several files becomes a folder of that name."""
 
     def make(path: Path, splats: Splats) -> None:
-        files = import_module("support.splat_files")
+        files = import_module("support.files.splat_files")
         length = np.linalg.norm(splats.quat_wxyz, axis=1, keepdims=True)
         gaussians = files.Gaussians(
             *(np.asarray(a, np.float64) for a in (splats.mean, splats.scale, splats.quat_wxyz / length)),

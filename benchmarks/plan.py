@@ -65,7 +65,7 @@ from alula.stages.planning.plan import curve_along, plan
 from alula.stages.planning.plan_samples import sample_plan
 from alula.stages.planning.space import PlanSpace, plan_space
 from alula.stages.planning.verify import verify_plan
-from support import convex_core
+from support.models import convex_core
 
 ACCELERATION = 3.0
 GRID = 0.25  # spacing, in radii

@@ -24,7 +24,7 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))  # qp_famili
 import numpy as np
 
 from alula import _core
-from support.qp_families import (
+from support.models.qp_families import (
     CERTAIN,
     FAILED,
     FAMILIES,

@@ -29,7 +29,7 @@ def vehicle(folder: Path, parameters: dict[str, float] | None = None) -> Iterato
         folder: of its files.
         parameters: besides `INDOORS`.
     """
-    from support.ardupilot_sitl import sitl
+    from support.vehicles.ardupilot_sitl import sitl
 
     _starting.acquire()
     threading.Timer(_STARTING_S, _starting.release).start()

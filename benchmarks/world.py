@@ -40,7 +40,7 @@ from alula.stages.simulation.judge import hits_static
 from alula.stages.simulation.prepare import prepare
 from alula.stages.simulation.simulate import simulate_world
 from alula.stages.verdict import wilson_interval
-from support import combinations
+from support.flights import combinations
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENARIO = ROOT / "examples" / "world" / "room.toml"

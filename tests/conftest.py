@@ -11,7 +11,7 @@ from _pytest.assertion import rewrite
 
 from support.effort import ALL
 
-pytest_plugins = ["support.pipeline", "support.browser", "support.quick_clock"]
+pytest_plugins = ["support.scenes.pipeline", "support.files.browser", "support.flights.quick_clock"]
 
 os.environ.setdefault("NUMBA_THREADING_LAYER", "workqueue")  # gsply's; it warns of others that are old
 

@@ -31,7 +31,7 @@ from alula.stages.compression.onboard.layout import encode_map
 from alula.stages.filtering.polytope_cbf import barrier
 from alula.stages.filtering.protocol import FilterWorld
 from papers.polymerge.flights import Flights
-from support.crazyflie_goals import fly_to_goal
+from support.vehicles.crazyflie_goals import fly_to_goal
 
 BODY_M = 0.075  # radius of the vehicle, examples/vehicles/crazyflie21.toml
 WITHIN_M = 0.05

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from alula import _core
+from support.models.qp_families import INFEASIBLE, OPTIMAL, generic, infeasible
 from support.paths import ROOT
-from support.qp_families import INFEASIBLE, OPTIMAL, generic, infeasible
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from alula.stages.flight.links.protocol import Order
 from alula.stages.sim_vehicle.crazyflie.supervisor import Stage
 from alula.stages.vehicles.frames import LocalFrame
 from alula.stages.vehicles.setpoints import AccelerationSetpoint, VelocitySetpoint
-from support.crazyflie_peer import clock, crazyflie_vehicle, fly_until, pause, served
+from support.vehicles.crazyflie_peer import clock, crazyflie_vehicle, fly_until, pause, served
 
 pytest.importorskip("cflib", reason="cflib, of the extra crazyflie, is not there")
 

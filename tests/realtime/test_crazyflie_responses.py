@@ -7,9 +7,9 @@ import threading
 import numpy as np
 import pytest
 
-from support.crazyflie_peer import VEHICLE
-from support.crazyflie_responses import MEASURED, measure
-from support.sim_vehicle_process import free_port, until, vehicle
+from support.vehicles.crazyflie_peer import VEHICLE
+from support.vehicles.crazyflie_responses import MEASURED, measure
+from support.vehicles.sim_vehicle_process import free_port, until, vehicle
 
 pytest.importorskip("cflib", reason="cflib, of the extra crazyflie, is not there")
 

@@ -16,7 +16,7 @@ START = 1_777_636_800_000_000_000  # 2026-05-01T12:00:00Z
 
 def test_a_client_sees_a_flight_from_its_checks_to_its_end(pipeline, tmp_path):
     pytest.importorskip("foxglove", reason="foxglove-sdk is needed: pip install 'alula[foxglove]'")
-    from support.foxglove_client import FoxgloveClient
+    from support.vehicles.foxglove_client import FoxgloveClient
 
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))

@@ -21,9 +21,9 @@ from alula.stages.flight.recorder.log import FlightRecorder
 from alula.stages.flight.recorder.pipe import FlightPipe
 from alula.stages.flight.recorder.samples import BeginSample, PlanSample, TickSample, decoded, encoded
 from alula.stages.runlog.maps import map_message
-from support.browser import drawn, near, opened
-from support.flight_logs import head_of, sample
-from support.flights import BALL, mission
+from support.files.browser import drawn, near, opened
+from support.flights.flight_logs import head_of, sample
+from support.flights.flights import BALL, mission
 
 SIM = "sim:?start=0.5,1.5,0"
 

@@ -19,8 +19,8 @@ from alula.stages.flight.replan.of_mission import maps_of, replan_facts
 from alula.stages.flight.replan.process import PlannerProcess
 from alula.stages.flight.replan.task import ReplanRequest, ReplanTask
 from alula.stages.planning.plan import plan
-from support.flights import mission
-from support.small_scenes import box_cover
+from support.flights.flights import mission
+from support.scenes.small_scenes import box_cover
 
 GAP = box_cover([((18, -10, 0), (22, 18, 20)), ((18, 22, 0), (22, 50, 20))])  # 0.4 m wide, in a wall
 PATH = PlanConfig(beyond_map_m=3.0, start=(0.3, 2.0, 1.0), goal=(3.7, 2.0, 1.0), radius_m=0.16)

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from alula.cli.main import run
-from support.sim_vehicle_process import vehicle
+from support.vehicles.sim_vehicle_process import vehicle
 
 PX4 = ("--autopilot", "px4", "--boot-time", "1")
 QUICK = {"MPC_TKO_RAMP_T": 0.25, "MPC_TKO_SPEED": 3, "MPC_LAND_SPEED": 1.2, "COM_DISARM_LAND": 0.5}

@@ -14,8 +14,8 @@ import pytest
 from alula.cli.main import run
 from alula.schemas.artifacts.artifact import write_artifact
 from support.paths import ROOT
-from support.sim_vehicle_process import free_port, until, vehicle
-from support.small_scenes import box_cover
+from support.scenes.small_scenes import box_cover
+from support.vehicles.sim_vehicle_process import free_port, until, vehicle
 
 GUIDED, LAND = 4, 9
 

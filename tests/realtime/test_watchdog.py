@@ -18,13 +18,13 @@ import pytest
 from alula.schemas.artifacts.artifact import write_artifact
 from alula.stages.flight.links.mavlink.signing import Signer
 from alula.stages.flight.watchdog.companion import REACTION_S, STALL_S
-from support.autopilot_client import EXACT
-from support.fly_process import LOOSE
-from support.lockstep import _BRISK
-from support.mavlink_peer import m
-from support.served_autopilot import Served
-from support.sim_vehicle_process import free_port
-from support.small_scenes import box_cover, line_plan
+from support.scenes.small_scenes import box_cover, line_plan
+from support.vehicles.autopilot_client import EXACT
+from support.vehicles.fly_process import LOOSE
+from support.vehicles.lockstep import _BRISK
+from support.vehicles.mavlink_peer import m
+from support.vehicles.served_autopilot import Served
+from support.vehicles.sim_vehicle_process import free_port
 
 GUIDED, LAND, BRAKE, LOITER = 4, 9, 17, 5
 KEY = bytes(range(32))

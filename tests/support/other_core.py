@@ -27,7 +27,7 @@ def make(folder: Path) -> None:
     """One file of every kind, and a flight behind each filter, each made by its command."""
     from alula.cli.main import run
     from support.paths import EXAMPLES
-    from support.pipeline import write_pipeline
+    from support.scenes.pipeline import write_pipeline
 
     write_pipeline(folder)
     scene, plan = str(folder / "tiny.metric.scene.npz"), str(folder / "tiny.plan.npz")

@@ -23,8 +23,8 @@ from alula.stages.clearance import (
     sphere_clearance,
 )
 from alula.stages.compression.hulls import Hulls
-from support.clearances import clearance_to_hulls, clearance_to_scene
 from support.effort import examples
+from support.models.clearances import clearance_to_hulls, clearance_to_scene
 
 QP_TOLERANCE = 2e-7  # of the interior-point solver, in metres, at distances of the order of one
 

@@ -17,8 +17,8 @@ from alula.stages.compression.voxelize import voxelize
 from alula.stages.compression.voxelize_parts import BlockVoxelizer, voxelize_whole
 from alula.stages.distribute import check_scheduler, distribute
 from support.clusters import Cluster
-from support.fabricate import make_scene
 from support.killers import kill, kill_once
+from support.scenes.fabricate import make_scene
 
 
 def square(x):

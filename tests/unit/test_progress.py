@@ -10,7 +10,7 @@ from alula.stages.compression.merge import merge
 from alula.stages.compression.verify import verify
 from alula.stages.compression.voxelize import voxelize
 from alula.stages.progress import WHOLE, share
-from support.fabricate import make_scene
+from support.scenes.fabricate import make_scene
 
 reports = st.lists(st.tuples(st.integers(0, 100), st.integers(0, 90)))
 

@@ -16,7 +16,7 @@ from alula.stages.verdict import (
     totals,
     wilson_interval,
 )
-from support.fabricate import make_trial
+from support.scenes.fabricate import make_trial
 
 
 @pytest.mark.parametrize(("successes", "n"), [(0, 10), (7, 10), (10, 10), (93, 100), (1, 1)])

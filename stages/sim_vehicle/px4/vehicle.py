@@ -1,7 +1,7 @@
 """The vehicle with PX4's behaviour: streams of set-points, arming, and failsafes.
 
-Times, answers and parameters that `tests/support/px4_responses.py` measures are those of PX4 1.18 in its own
-simulation, the rest follows PX4's documentation. docs/guide/sim-vehicle.md lists what is uncertain.
+Times, answers and parameters that `tests/support/vehicles/px4_responses.py` measures are those of PX4 1.18 in
+its own simulation, the rest follows PX4's documentation. docs/guide/sim-vehicle.md lists what is uncertain.
 """
 
 from __future__ import annotations

@@ -20,8 +20,8 @@ from alula.stages.compression import limits, merge
 from alula.stages.compression import verify as certificate
 from alula.stages.compression.onboard import verify as map_certificate
 from alula.stages.show.drawing import splat
-from support.fabricate import make_scene
-from support.small_scenes import box_cover
+from support.scenes.fabricate import make_scene
+from support.scenes.small_scenes import box_cover
 
 # Runs Python in a child and prints the child's peak, in bytes (ru_maxrss counts KiB on Linux).
 PEAK = (

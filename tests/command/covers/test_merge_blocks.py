@@ -17,8 +17,8 @@ from alula.schemas.artifacts.artifact import Artifact, read_artifact, write_arti
 from alula.schemas.artifacts.manifest import InputRef, producer
 from alula.schemas.artifacts.parts import open_parts
 from alula.stages.compression import block_tree
-from support.covers import furniture, voxels_of
-from support.parted import write_parts
+from support.scenes.covers import furniture, voxels_of
+from support.scenes.parted import write_parts
 
 WORDS = ["merge", "v.voxels.npz", "-o", "c.cover.npz", "--hulls", "60", "--block", "1.3"]
 # The command line of the same commit even when somebody commits between two runs.

@@ -12,7 +12,7 @@ from alula.schemas.artifacts.artifact import Artifact, make_artifact, read_artif
 from alula.schemas.artifacts.kinds import SCENE
 from alula.schemas.artifacts.parts import open_parts
 from alula.schemas.log.run import read_run
-from support.parted import write_parts
+from support.scenes.parted import write_parts
 
 
 def run(*words):

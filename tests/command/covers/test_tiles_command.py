@@ -13,9 +13,9 @@ from alula.schemas.artifacts.artifact import write_artifact
 from alula.schemas.artifacts.provenance import read_provenance
 from alula.schemas.artifacts.tiles import read_tiles
 from alula.schemas.log.run import read_run
-from support.covers import cover_of, furniture, voxels_of
-from support.small_scenes import line_plan
-from support.tiled import KEY, posts
+from support.scenes.covers import cover_of, furniture, voxels_of
+from support.scenes.small_scenes import line_plan
+from support.scenes.tiled import KEY, posts
 
 TILES = ["--tiles", "0.8", "--reach", "1.4"]
 

@@ -15,7 +15,7 @@ from alula.cli.main import run
 from alula.schemas.artifacts.artifact import write_artifact
 from alula.schemas.log.cut import read_logged
 from alula.schemas.log.run import read_run
-from support.small_scenes import box_cover, rest_plan
+from support.scenes.small_scenes import box_cover, rest_plan
 
 SIM = "sim:?start=0.5,1.5,0"
 

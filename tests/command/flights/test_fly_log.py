@@ -19,9 +19,9 @@ from alula.stages.flight.loop.supervisor import Event, State, Taken
 from alula.stages.flight.loop.supervisor_table import TABLE
 from alula.stages.flight.recorder import log as flight_log
 from alula.stages.flight.recorder.log import FlightRecorder
-from support.fake_vehicle import FakeClock, FakeVehicle
-from support.flight_logs import head_of, sample
-from support.flights import START, mission
+from support.flights.flight_logs import head_of, sample
+from support.flights.flights import START, mission
+from support.vehicles.fake_vehicle import FakeClock, FakeVehicle
 
 OLD = b"an old log"
 

@@ -9,8 +9,8 @@ from alula.cli.shell.options import Common
 from alula.cli.verbs.fly.flight import fly
 from alula.schemas.artifacts.provenance import Provenance
 from alula.schemas.log.run import RUN_SCHEMA, RUN_VERSION
-from support.fake_vehicle import FakeClock, FakeVehicle
-from support.flights import START, mission
+from support.flights.flights import START, mission
+from support.vehicles.fake_vehicle import FakeClock, FakeVehicle
 
 
 class Interrupted(FakeVehicle):

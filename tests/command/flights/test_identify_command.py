@@ -6,7 +6,7 @@ from alula.cli.main import run
 from alula.cli.verbs.fly import contact
 from alula.schemas.scenarios.vehicle import read_vehicle
 from support.paths import VEHICLES
-from support.sim_vehicle_process import free_port
+from support.vehicles.sim_vehicle_process import free_port
 
 BOX = ("--box", "-8 -8 0 8 8 16")
 SIM = ("--link", "sim:?start=0,0,0")

@@ -12,8 +12,8 @@ from alula.schemas.scenarios.examples import NAMES
 from alula.schemas.scenarios.presets import PRESETS
 from alula.schemas.scenarios.scenario import decoded, read_scenario
 from alula.schemas.scenarios.tables import EstimationTable, SafetyTable, SensorTable
-from support.covers import boxes_cover
 from support.paths import EXAMPLES
+from support.scenes.covers import boxes_cover
 
 WALLS = EXAMPLES / "geofencing" / "combined.toml"
 NEW = """schema = "alula/scenario"

@@ -8,8 +8,8 @@ from alula.schemas.artifacts.artifact import write_artifact
 from alula.schemas.log.mcap import MAGIC
 from alula.schemas.log.run import read_run
 from alula.schemas.scenarios.vehicle import FASTBRIDGE, contents, read_vehicle
-from support.fabricate import box, make_cover, make_scene
 from support.paths import VEHICLES
+from support.scenes.fabricate import box, make_cover, make_scene
 
 SCENE_WORDS = ["--trials", "3", "--set", "rules.max_time_s=0.3", "-q"]
 

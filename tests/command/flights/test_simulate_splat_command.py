@@ -19,9 +19,9 @@ from alula.schemas.artifacts.manifest import InputRef
 from alula.schemas.log.flights import read_flights
 from alula.schemas.log.run import RunRecord, read_run, record_path
 from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS
-from support.fabricate import box, make_cover, make_scene
 from support.paths import VEHICLES
-from support.small_scenes import rest_plan
+from support.scenes.fabricate import box, make_cover, make_scene
+from support.scenes.small_scenes import rest_plan
 
 FAST = ["--trials", "2", "--speed", "2"]
 GUIDED = ["--filter", "cone-ecbf", "--set", "mission.controller.guide=cone-di"]

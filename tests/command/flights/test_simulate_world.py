@@ -13,7 +13,7 @@ from alula.schemas.errors import UsageError
 from alula.schemas.log.flights import read_flights
 from alula.schemas.log.run import RunRecord, read_run
 from alula.stages.simulation import simulate as stage
-from support.small_scenes import box_cover, line_plan, with_vias
+from support.scenes.small_scenes import box_cover, line_plan, with_vias
 
 ROOM = """
 schema = "alula/scenario"

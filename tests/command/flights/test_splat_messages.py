@@ -9,8 +9,8 @@ from mcap.reader import make_reader
 from alula.cli.main import run
 from alula.schemas.artifacts.artifact import write_artifact
 from alula.schemas.log.run import read_run
-from support.fabricate import make_scene
 from support.paths import VEHICLES
+from support.scenes.fabricate import make_scene
 
 FAST = ["--trials", "2", "--speed", "2"]
 

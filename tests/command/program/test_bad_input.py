@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from alula.cli.main import COMMANDS, run
-from support import damage
 from support.effort import some
+from support.files import damage
 
 NPZ = (
     damage.truncated,

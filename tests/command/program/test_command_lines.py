@@ -11,8 +11,8 @@ import click
 import pytest
 
 from alula.cli.main import COMMANDS, cli, run
-from support.command_lines import PAGES, CommandLine, command_lines, spans
-from support.doc_files import DocFiles
+from support.files.command_lines import PAGES, CommandLine, command_lines, spans
+from support.files.doc_files import DocFiles
 from support.paths import DOCS, EXAMPLES, ROOT
 
 LINES = [line for page in PAGES for line in command_lines(page)]

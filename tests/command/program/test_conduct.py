@@ -12,7 +12,7 @@ import pytest
 from alula.cli.main import COMMANDS, cli, run
 from alula.cli.shell.present import plain, print_sections
 from alula.schemas.artifacts.artifact import write_artifact
-from support.fabricate import make_scene
+from support.scenes.fabricate import make_scene
 
 ALULA = [sys.executable, "-P", "-m", "alula.cli"]
 

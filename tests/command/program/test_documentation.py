@@ -14,7 +14,7 @@ from alula.schemas.artifacts.kinds import KINDS
 from alula.schemas.errors import ExitCode
 from alula.schemas.parameters.filter_options import FILTERS, TABLES
 from alula.schemas.parameters.filters.values import entries
-from support.command_lines import PAGES, command_lines
+from support.files.command_lines import PAGES, command_lines
 from support.paths import DOCS, ROOT
 
 SOURCES = "".join(

@@ -11,7 +11,7 @@ from support.paths import ROOT
 
 @pytest.mark.slow
 def test_mutated_artifacts_are_read_or_refused_by_every_command(tmp_path):
-    fuzzer = ROOT / "tests" / "support" / "fuzz_artifacts.py"
+    fuzzer = ROOT / "tests" / "support" / "fuzz" / "fuzz_artifacts.py"
     words = [sys.executable, "-P", str(fuzzer), "--most", "200", "--jobs", "2", "--keep", str(tmp_path)]
     environment = {key: value for key, value in os.environ.items() if key != "ALULA_DATA"}
     done = subprocess.run(words, capture_output=True, text=True, env=environment)

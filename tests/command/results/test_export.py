@@ -13,7 +13,7 @@ from alula.cli.main import run
 from alula.schemas.artifacts.artifact import make_artifact, read_artifact, write_artifact
 from alula.schemas.artifacts.kinds import SCENE
 from alula.schemas.artifacts.provenance import read_provenance
-from support.fabricate import box, exact_hull, make_cover, make_plan, make_scene, make_voxels
+from support.scenes.fabricate import box, exact_hull, make_cover, make_plan, make_scene, make_voxels
 
 G = 0.05
 

@@ -14,7 +14,7 @@ from alula.schemas.artifacts.provenance import read_provenance
 from alula.stages.clearance import hull_obstacles, segment_clearance
 from alula.stages.compression.hulls import Hulls
 from alula.stages.export.grids import geodetic
-from support.small_scenes import G, box_cover
+from support.scenes.small_scenes import G, box_cover
 
 
 @pytest.fixture(scope="module")

@@ -15,8 +15,8 @@ from alula.cli.main import run
 from alula.schemas.artifacts.provenance import read_provenance
 from alula.stages.export.ros_messages import RosMessages
 from alula.stages.flight.recorder.log import FlightRecorder
-from support.flight_logs import head_of, record_of
-from support.flights import fly, mission
+from support.flights.flight_logs import head_of, record_of
+from support.flights.flights import fly, mission
 
 SCENARIO = """
 schema = "alula/scenario"

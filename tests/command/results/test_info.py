@@ -9,7 +9,8 @@ from alula.cli.main import run
 from alula.schemas.artifacts.artifact import write_artifact
 from alula.schemas.artifacts.kinds import PLAN
 from alula.schemas.artifacts.salvage import salvage
-from support.fabricate import (
+from support.paths import VEHICLES
+from support.scenes.fabricate import (
     box,
     make_cover,
     make_plan,
@@ -19,7 +20,6 @@ from support.fabricate import (
     make_voxels,
     write_run,
 )
-from support.paths import VEHICLES
 
 
 @pytest.fixture

@@ -5,8 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from support.browser import drawn, near, opened
-from support.viewed_pages import RED, write_files, write_page, write_simulated
+from support.files.browser import drawn, near, opened
+from support.files.viewed_pages import RED, write_files, write_page, write_simulated
 
 pytestmark = pytest.mark.process
 

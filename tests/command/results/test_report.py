@@ -17,7 +17,15 @@ from alula.schemas.artifacts.artifact import write_artifact
 from alula.schemas.artifacts.provenance import Provenance, read_provenance
 from alula.schemas.artifacts.report import Report
 from alula.stages.reporting.table import Table, folded, text
-from support.fabricate import box, make_cover, make_plan, make_record, make_scene, make_trial, write_run
+from support.scenes.fabricate import (
+    box,
+    make_cover,
+    make_plan,
+    make_record,
+    make_scene,
+    make_trial,
+    write_run,
+)
 
 EVIL = 'x"><script>alert(1)</script><img src=http://evil.example/a.png>'
 

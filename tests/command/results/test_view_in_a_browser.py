@@ -9,10 +9,10 @@ from alula.stages.show.viewing import light
 from alula.stages.show.viewing import page as pages
 from alula.stages.show.viewing.compose import Shown, content_of
 from alula.stages.show.viewing.page import page, within
-from support.browser import SOFTWARE, Opened, chromium_program, near
-from support.fabricate import make_scene, make_trial
-from support.viewed_pages import RED
-from support.viewed_runs import run_of
+from support.files.browser import SOFTWARE, Opened, chromium_program, near
+from support.files.viewed_pages import RED
+from support.flights.viewed_runs import run_of
+from support.scenes.fabricate import make_scene, make_trial
 
 pytestmark = [pytest.mark.slow, pytest.mark.process]
 

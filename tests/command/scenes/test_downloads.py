@@ -19,7 +19,7 @@ from alula.schemas.artifacts.artifact import read_artifact
 from alula.schemas.artifacts.kinds import SCENE
 from alula.schemas.artifacts.parts import open_parts
 from alula.schemas.errors import UsageError
-from support import splat_files
+from support.files import splat_files
 
 SPLAT = splat_files.splat(splat_files.some_gaussians(50))["a.splat"]
 SHA256 = hashlib.sha256(SPLAT).hexdigest()

@@ -14,8 +14,8 @@ from alula.schemas.artifacts.kinds import SCENE
 from alula.schemas.artifacts.parts import INDEX, open_parts
 from alula.schemas.artifacts.parts_join import read_whole
 from alula.schemas.artifacts.provenance import read_provenance
-from support.pipeline import write_tiny_splat
-from support.splat_files import some_gaussians, splat
+from support.files.splat_files import some_gaussians, splat
+from support.scenes.pipeline import write_tiny_splat
 
 COLUMNS = ("mean", "scale", "quat_wxyz", "opacity", "color")
 

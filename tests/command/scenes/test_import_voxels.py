@@ -10,7 +10,7 @@ import trimesh
 from alula.cli.main import run
 from alula.schemas.artifacts.artifact import read_artifact
 from alula.schemas.artifacts.kinds import COVER, VOXELS
-from support.mesh_files import Glb
+from support.files.mesh_files import Glb
 
 SIZE = 0.25
 

@@ -21,8 +21,8 @@ from alula.schemas.scenarios.scenario import read_scenario
 from alula.stages.clearance import hull_obstacles, segment_clearance
 from alula.stages.compression.hulls import Hulls
 from alula.stages.planning.space import plan_space
-from support.doc_files import write_garden
-from support.pipeline import COLUMNS
+from support.files.doc_files import write_garden
+from support.scenes.pipeline import COLUMNS
 
 # A street, a robot in a folder of SOG, a house in SPZ, a camera, and a part of an INRIA scene.
 REAL = (

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from alula.stages.sim_vehicle.common.packets import mavlink
-from support.ardupilot_sitl import flight, sitl
 from support.paths import VEHICLES
-from support.small_scenes import line_plan
+from support.scenes.small_scenes import line_plan
+from support.vehicles.ardupilot_sitl import flight, sitl
 
 pytestmark = [pytest.mark.sitl, pytest.mark.realtime]
 

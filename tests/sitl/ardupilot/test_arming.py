@@ -2,7 +2,7 @@
 
 import pytest
 
-from support.ardupilot_sitl import flight, sitl
+from support.vehicles.ardupilot_sitl import flight, sitl
 
 pytestmark = pytest.mark.sitl
 

@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from support.ardupilot_sitl import flight, sitl
+from support.vehicles.ardupilot_sitl import flight, sitl
 
 pytestmark = pytest.mark.sitl
 

@@ -10,16 +10,16 @@ from alula.stages.clearance import path_clearance
 from alula.stages.flight.links.mavlink.autopilots import ARDUPILOT
 from alula.stages.flight.mission import make_commander
 from alula.stages.flight.replay import replay
-from support.ardupilot_sitl import GOAL, START, flight, sitl
-from support.flights import mission
+from support.flights.flights import mission
 from support.paths import VEHICLES
-from support.small_scenes import SLALOM, box_cover, line_plan
+from support.scenes.small_scenes import SLALOM, box_cover, line_plan
+from support.vehicles.ardupilot_sitl import GOAL, START, flight, sitl
 
 pytestmark = [pytest.mark.sitl, pytest.mark.realtime]
 
 PILLAR = box_cover([((70, 4, 0), (76, 10, 40))])  # 0.4 m beside the line
 COPTER = VEHICLES / "arducopter.toml"
-AS_FLOWN = {"stale_s": 0.4, "latency_s": 0.05}  # of support.fly_process.LOOSE
+AS_FLOWN = {"stale_s": 0.4, "latency_s": 0.05}  # of support.vehicles.fly_process.LOOSE
 
 
 @pytest.mark.parametrize("name", ["polytope-cbf", "cone-backup"])

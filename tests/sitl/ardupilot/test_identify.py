@@ -8,10 +8,10 @@ import pytest
 
 from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.vehicles.velocity_lag import stop_time_s
-from support.ardupilot_sitl import sitl
-from support.fly_process import LOOSE
 from support.paths import VEHICLES
-from support.responses import MEASURED
+from support.vehicles.ardupilot_sitl import sitl
+from support.vehicles.fly_process import LOOSE
+from support.vehicles.responses import MEASURED
 
 pytestmark = [pytest.mark.sitl, pytest.mark.realtime, pytest.mark.slow]
 

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from support.ardupilot_sitl import GOAL, flight, sitl
+from support.vehicles.ardupilot_sitl import GOAL, flight, sitl
 
 pytestmark = pytest.mark.sitl
 

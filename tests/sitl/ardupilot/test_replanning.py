@@ -11,17 +11,17 @@ from alula.stages.flight.links.mavlink.autopilots import ARDUPILOT
 from alula.stages.flight.mission import make_commander
 from alula.stages.flight.replay import replay
 from alula.stages.planning.plan import plan
-from support.ardupilot_sitl import GOAL, START, flight, sitl
-from support.flights import mission
+from support.flights.flights import mission
 from support.paths import VEHICLES
-from support.small_scenes import box_cover
+from support.scenes.small_scenes import box_cover
+from support.vehicles.ardupilot_sitl import GOAL, START, flight, sitl
 
 pytestmark = [pytest.mark.sitl, pytest.mark.realtime]
 
 WALL = box_cover([((70, -20, 0), (76, 15, 40))])  # in the way, from y = -2 m to 1.5 m
 COPTER = VEHICLES / "arducopter.toml"
 FENCE = (-3.0, -4.0, -1.0, 17.0, 4.0, 6.0)
-AS_FLOWN = {"stale_s": 0.4, "latency_s": 0.05, "fence": FENCE}  # with support.fly_process.LOOSE
+AS_FLOWN = {"stale_s": 0.4, "latency_s": 0.05, "fence": FENCE}  # with support.vehicles.fly_process.LOOSE
 
 
 @pytest.mark.parametrize("name", ["polytope-cbf", "cone-backup"])

@@ -2,8 +2,8 @@
 
 import pytest
 
-from support.arducopter import wired
-from support.responses import ANSWERS, MEASURED, Measurer, measure
+from support.vehicles.arducopter import wired
+from support.vehicles.responses import ANSWERS, MEASURED, Measurer, measure
 
 pytestmark = [pytest.mark.sitl, pytest.mark.slow]
 

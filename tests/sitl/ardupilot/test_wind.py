@@ -5,10 +5,10 @@ import pytest
 
 from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.clearance import path_clearance
-from support.ardupilot_sitl import GOAL, START, flight, sitl
-from support.flights import mission
+from support.flights.flights import mission
 from support.paths import VEHICLES
-from support.small_scenes import box_cover, line_plan
+from support.scenes.small_scenes import box_cover, line_plan
+from support.vehicles.ardupilot_sitl import GOAL, START, flight, sitl
 
 pytestmark = [pytest.mark.sitl, pytest.mark.realtime]
 

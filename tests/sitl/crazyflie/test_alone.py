@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from support.crazyflie_host import crazyflie
-from support.fly_process import fly
 from support.paths import VEHICLES
-from support.sim_vehicle_process import until
-from support.small_scenes import box_cover, line_plan
+from support.scenes.small_scenes import box_cover, line_plan
+from support.vehicles.crazyflie_host import crazyflie
+from support.vehicles.fly_process import fly
+from support.vehicles.sim_vehicle_process import until
 
 pytestmark = [pytest.mark.sitl, pytest.mark.realtime]
 

@@ -7,10 +7,10 @@ from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.clearance import hull_obstacles, path_clearance, scene_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard.layout import encode_map
-from support.crazyflie_host import crazyflie
-from support.fly_process import fly
 from support.paths import VEHICLES
-from support.small_scenes import ball_scene, box_cover, line_plan
+from support.scenes.small_scenes import ball_scene, box_cover, line_plan
+from support.vehicles.crazyflie_host import crazyflie
+from support.vehicles.fly_process import fly
 
 pytestmark = [pytest.mark.sitl, pytest.mark.realtime]
 

@@ -7,9 +7,9 @@ from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.clearance import hull_obstacles, path_clearance
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard.layout import encode_map
-from support.crazyflie_goals import fly_to_goal
 from support.paths import VEHICLES
-from support.small_scenes import box_cover
+from support.scenes.small_scenes import box_cover
+from support.vehicles.crazyflie_goals import fly_to_goal
 
 pytestmark = [pytest.mark.sitl, pytest.mark.realtime]
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from support.crazyflie_host import crazyflie
-from support.crazyflie_responses import MEASURED, measure
+from support.vehicles.crazyflie_host import crazyflie
+from support.vehicles.crazyflie_responses import MEASURED, measure
 
 OF_THE_BODY = "silent: touches down at [m/s]"  # differs between two programs with the same firmware
 

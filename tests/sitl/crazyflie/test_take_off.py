@@ -10,9 +10,9 @@ from alula.stages.compression.onboard.layout import encode_map
 from alula.stages.flight.links.open_link import open_link
 from alula.stages.flight.links.options import LinkOptions
 from alula.stages.flight.links.protocol import Order
-from support.crazyflie_host import crazyflie
 from support.paths import VEHICLES
-from support.small_scenes import box_cover
+from support.scenes.small_scenes import box_cover
+from support.vehicles.crazyflie_host import crazyflie
 
 pytestmark = [pytest.mark.sitl, pytest.mark.realtime]
 

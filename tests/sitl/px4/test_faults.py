@@ -7,9 +7,9 @@ from contextlib import contextmanager, nullcontext
 
 import pytest
 
-from support.ardupilot_sitl import flight
 from support.paths import VEHICLES
-from support.px4_sitl import MOCAP, px4
+from support.vehicles.ardupilot_sitl import flight
+from support.vehicles.px4_sitl import MOCAP, px4
 
 pytestmark = [pytest.mark.sitl, pytest.mark.realtime]
 

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from support.ardupilot_sitl import flight
 from support.paths import VEHICLES
-from support.px4_sitl import MOCAP, px4
-from support.small_scenes import line_plan
+from support.scenes.small_scenes import line_plan
+from support.vehicles.ardupilot_sitl import flight
+from support.vehicles.px4_sitl import MOCAP, px4
 
 pytestmark = [pytest.mark.sitl, pytest.mark.realtime]
 

@@ -8,14 +8,14 @@ import pytest
 
 from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.clearance import path_clearance
-from support.ardupilot_sitl import GOAL, START, flight
-from support.flights import mission
+from support.flights.flights import mission
 from support.paths import VEHICLES
-from support.px4_responses import MEASURED, SPREAD, measure
-from support.px4_sitl import px4
-from support.responses import Wired
-from support.sim_vehicle_process import until
-from support.small_scenes import ball_scene, box_cover, line_plan
+from support.scenes.small_scenes import ball_scene, box_cover, line_plan
+from support.vehicles.ardupilot_sitl import GOAL, START, flight
+from support.vehicles.px4_responses import MEASURED, SPREAD, measure
+from support.vehicles.px4_sitl import px4
+from support.vehicles.responses import Wired
+from support.vehicles.sim_vehicle_process import until
 
 pytestmark = [pytest.mark.sitl, pytest.mark.realtime]
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from support.attack.outcome import Outcome
-from support.mesh_files import WRITERS, Written
+from support.files.mesh_files import WRITERS, Written
 
 CLAIM = "`import-voxels` marks every voxel that a triangle or point of its file touches, and no others"
 SIZES = ("0.2", "0.25", "0.5", "1", "2.5", "10", "50")

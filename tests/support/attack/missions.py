@@ -17,7 +17,7 @@ from alula.stages.planning.plan import plan
 from alula.stages.planning.verify import verify_plan
 from support.attack.outcome import Outcome
 from support.attack.plan_judge import faults_of
-from support.covers import SIZE_M, boxes_cover
+from support.scenes.covers import SIZE_M, boxes_cover
 
 FLOOR, CEILING = [0, 0, 0, 40, 40, 1], [0, 0, 25, 40, 40, 26]
 

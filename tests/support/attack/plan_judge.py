@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from alula.schemas.artifacts.artifact import Artifact
-from support.covers import SIZE_M
+from support.scenes.covers import SIZE_M
 
 STEP_S = 2e-3  # of the evaluation, and a hundred instants in each piece at least
 INSTANTS = 100

@@ -22,7 +22,7 @@ from alula.stages.planning.plan import plan
 from alula.stages.planning.verify import verify_plan
 from support.attack.outcome import Outcome
 from support.attack.plan_judge import faults_of
-from support.covers import boxes_cover
+from support.scenes.covers import boxes_cover
 
 BOXES = [[0, 0, 0, 40, 40, 1], [0, 0, 25, 40, 40, 26], [15, 0, 1, 18, 22, 25]]
 CONFIG = PlanConfig(start=(0.6, 0.6, 1.0), goal=(3.0, 0.8, 1.2), radius_m=0.2, margin_m=0.05, speed_m_s=1.5)

@@ -27,7 +27,7 @@ from alula.stages.compression.voxelize import voxelize
 from alula.stages.planning.observe import observe
 from alula.stages.planning.verify_seen import verify_seen
 from support.attack.outcome import Outcome
-from support.world_runs import flown, made_from
+from support.flights.world_runs import flown, made_from
 
 G = 0.1  # voxel size [m]
 SIZE = np.array([1.6, 1.2, 1.0])  # of the room [m]

@@ -31,7 +31,7 @@ from alula.stages.simulation.prepared_run import PreparedRun
 from alula.stages.simulation.simulate import WorldRun
 from alula.stages.simulation.summary import world_guarantee
 from support.attack.outcome import Outcome
-from support.fabricate import exact_hull, make_cover
+from support.scenes.fabricate import exact_hull, make_cover
 
 CLAIM = (
     "flights that begin certified, with nothing left out of the model, stay certified and keep their distance"

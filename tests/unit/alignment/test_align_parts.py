@@ -11,7 +11,7 @@ from alula.schemas.artifacts.kinds import SCENE
 from alula.schemas.artifacts.parts import open_parts
 from alula.schemas.artifacts.parts_join import read_whole
 from alula.stages.alignment import scale_align
-from support.parted import scene_of, write_parts
+from support.scenes.parted import scene_of, write_parts
 
 
 def run(*words):

@@ -21,8 +21,8 @@ from alula.stages.alignment.plane_search import best_level_plane
 from alula.stages.alignment.scale_align import scale_align, scale_only
 from alula.stages.alignment.similarity import transform_points
 from alula.stages.reconstruction.demo_scene import world_from_scene
-from support import floor_scenes
 from support.effort import examples
+from support.scenes import floor_scenes
 
 UP = np.array([0.0, 0.0, 1.0])
 

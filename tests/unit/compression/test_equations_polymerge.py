@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from support.covers import cover_of, rows, voxels_of
 from support.effort import examples
+from support.scenes.covers import cover_of, rows, voxels_of
 
 MANY = 10**6  # hulls: nothing is merged, so the cover is the sub-cover
 

@@ -9,9 +9,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from alula import _core
-from support.covers import cover_of, furniture, holds_voxel, planes, rows, voxels_of
 from support.effort import examples
-from support.exact import cross, cutting, dot, exact_excess, facets_of
+from support.models.exact import cross, cutting, dot, exact_excess, facets_of
+from support.scenes.covers import cover_of, furniture, holds_voxel, planes, rows, voxels_of
 
 # The hull's arithmetic changes between 177 and 178, and between 2^17 and 2^17 + 1; 2^20 is the limit.
 EXTENTS = [1, 2, 20, 176, 177, 178, 230, 2**17 - 1, 2**17, 2**17 + 1, 2**18, 2**20 - 1, 2**20]

@@ -12,8 +12,8 @@ from scipy.spatial import ConvexHull
 from alula.schemas.errors import ArtifactError
 from alula.stages.compression.facets import mesh, triangles
 from support.effort import examples
-from support.fabricate import box as fabricated_box
-from support.fabricate import exact_hull, make_cover
+from support.scenes.fabricate import box as fabricated_box
+from support.scenes.fabricate import exact_hull, make_cover
 
 
 def exact_volume(points, faces):

@@ -13,9 +13,9 @@ from alula.schemas.errors import InputError
 from alula.schemas.parameters.configs.merge import MergeConfig
 from alula.stages.compression.merge import merge
 from papers.polymerge.measure import measure_cover, measure_points
-from support.covers import furniture, planes, voxels_of
 from support.effort import examples, some
-from support.exact import exact_union, voxel_planes
+from support.models.exact import exact_union, voxel_planes
+from support.scenes.covers import furniture, planes, voxels_of
 
 NO_VOXELS = np.empty((0, 3), np.int32)
 

@@ -12,7 +12,8 @@ from alula import _core
 from alula.schemas.errors import InfeasibleError, InputError, UsageError
 from alula.schemas.parameters.configs.merge import DEFAULT_HULLS, MergeConfig
 from alula.stages.compression.merge import merge
-from support.covers import (
+from support.effort import examples
+from support.scenes.covers import (
     SIZE_M,
     assert_covers,
     cover_of,
@@ -23,7 +24,6 @@ from support.covers import (
     rows,
     voxels_of,
 )
-from support.effort import examples
 
 coordinate = st.one_of(st.integers(-3, 3), st.integers(-(2**19), 2**19))
 point_sets = st.one_of(

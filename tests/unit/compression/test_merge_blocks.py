@@ -16,8 +16,8 @@ from alula.stages.compression.block_tree import Block, block_rows, blocks_of, ch
 from alula.stages.compression.merge import merge
 from alula.stages.compression.merge_blocks import CoverStore, plan_blocks
 from support.clusters import Cluster
-from support.covers import SIZE_M, assert_covers, cover_of, excess, furniture, rows, voxels_of
 from support.effort import examples
+from support.scenes.covers import SIZE_M, assert_covers, cover_of, excess, furniture, rows, voxels_of
 
 voxel_sets = st.sets(st.tuples(*3 * [st.integers(-7, 7)]), min_size=1, max_size=80)
 SCENE = voxels_of(furniture())

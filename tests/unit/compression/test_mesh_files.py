@@ -13,10 +13,10 @@ from alula.schemas.errors import InputError
 from alula.stages.compression import imported_files
 from alula.stages.compression.imported import Mesh
 from alula.stages.compression.imported_files import read_imported
-from support import fuzz_meshes
 from support.attack.meshes import case, search
-from support.fuzz_splats import fuzz
-from support.mesh_files import WRITERS, Glb
+from support.files.mesh_files import WRITERS, Glb
+from support.fuzz import fuzz_meshes
+from support.fuzz.fuzz_splats import fuzz
 
 A, B, C, D = (0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)
 E = (5, 5, 5)

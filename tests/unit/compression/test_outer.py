@@ -17,8 +17,8 @@ from alula.schemas.parameters.configs.merge import MergeConfig
 from alula.stages.compression.hulls import Hulls, outer_solids
 from alula.stages.compression.merge import merge
 from alula.stages.compression.verify import verify
-from support.covers import assert_covers, cover_of, excess, furniture, planes, rows, voxels_of
 from support.effort import examples
+from support.scenes.covers import assert_covers, cover_of, excess, furniture, planes, rows, voxels_of
 
 SCENE = voxels_of(furniture(2, 22))
 AXES = {tuple(s * int(i == j) for j in range(3)) for i in range(3) for s in (-1, 1)}

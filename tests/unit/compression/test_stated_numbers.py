@@ -8,7 +8,7 @@ from alula.schemas.artifacts.kinds import SCENE
 from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
 from alula.stages.compression.verify import verify
 from alula.stages.compression.voxelize import voxelize
-from support.covers import cover_of
+from support.scenes.covers import cover_of
 
 CROP = (1000000.0, -1.0, -1.0, 1000005.4, 1.0, 1.0)
 FAR_M = 1000005.9375  # outside of the crop, inside 1.00001e+06

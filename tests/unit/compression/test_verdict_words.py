@@ -18,7 +18,7 @@ from alula.stages.compression.onboard.verify import verify_map
 from alula.stages.compression.verify import verify
 from alula.stages.compression.voxelize import voxelize
 from alula.stages.reporting.material import coverage
-from support.covers import cover_of
+from support.scenes.covers import cover_of
 
 
 def one_gaussian():

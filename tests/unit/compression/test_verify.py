@@ -13,7 +13,7 @@ from alula.schemas.artifacts.kinds import SCENE
 from alula.schemas.artifacts.manifest import Guarantee, InputRef
 from alula.schemas.errors import ArtifactError
 from alula.stages.compression.verify import verify
-from support.covers import (
+from support.scenes.covers import (
     SIZE_M,
     changed,
     cover_of,

@@ -13,7 +13,7 @@ from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
 from alula.stages.compression.ellipsoids import unproven_voxels
 from alula.stages.compression.verify import verify
 from alula.stages.compression.voxelize import voxelize
-from support.covers import changed, cover_of, failing, furniture, holds_voxel, planes, voxels_of
+from support.scenes.covers import changed, cover_of, failing, furniture, holds_voxel, planes, voxels_of
 
 FEW = np.array([[0, 0, 0]], np.int32)
 MOST_CPU_S = 20.0

@@ -23,8 +23,8 @@ from alula.stages.compression.merge_blocks import merge_blocks, plan_blocks
 from alula.stages.compression.verify import verify
 from alula.stages.compression.verify_parts import OUTSIDE, prove_part, verify_parts
 from alula.stages.compression.voxelize import voxelize
-from support.covers import failing, with_manifest
-from support.fabricate import make_scene
+from support.scenes.covers import failing, with_manifest
+from support.scenes.fabricate import make_scene
 
 SIZE_M = 0.05
 

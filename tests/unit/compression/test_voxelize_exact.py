@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from alula import _core
 from support.effort import examples
-from support.exact_voxels import AXES, PLACES, TURNS, form_of, rotation, touches
+from support.models.exact_voxels import AXES, PLACES, TURNS, form_of, rotation, touches
 
 OUTWARD = Fraction(5 * 512, 2**53)  # 5 q / E of voxelize.hpp: no voxel farther than this is marked
 

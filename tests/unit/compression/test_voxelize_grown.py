@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from alula import _core
 from support.effort import examples
-from support.exact_voxels import AXES, PLACES, TURNS, rotation
+from support.models.exact_voxels import AXES, PLACES, TURNS, rotation
 
 SIZES = st.sampled_from([0.0625, 0.05])
 RADII = st.sampled_from([1e-12, 1e-6, 1e-3, 0.0078125, 0.03125, 0.0625, 0.11, 0.3])

@@ -22,7 +22,7 @@ from alula.stages.compression.lattice_blocks import Block, crop_of
 from alula.stages.compression.voxelize import voxelize
 from alula.stages.compression.voxelize_parts import BlockVoxelizer, voxelize_whole
 from support.effort import examples
-from support.parted import write_parts
+from support.scenes.parted import write_parts
 
 
 def some_scene(rng, rows, *, lossy, spread=2.0):

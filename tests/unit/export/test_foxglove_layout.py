@@ -12,7 +12,7 @@ from alula.schemas.log.foxglove import SceneUpdate
 from alula.schemas.log.json_schema import json_schema
 from alula.stages.export.foxglove_layout import contents, foxglove_layout
 from alula.stages.runlog.messages import entity
-from support.fabricate import make_record, make_trial, write_run
+from support.scenes.fabricate import make_record, make_trial, write_run
 
 TITLE = {"foxglovePanelTitle"}
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from alula import _core
-from support.moving_scenes import NO_TRACKS, NO_WALLS, track, tracks
+from support.scenes.moving_scenes import NO_TRACKS, NO_WALLS, track, tracks
 
 RECOVERING, REFUSED = 3, 4
 NOMINAL, AVOID, HOVER = 0, 1, 2

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from alula import _core
-from support import racer_model as model
-from support.fence_flights import fly_in
+from support.flights.fence_flights import fly_in
+from support.models import racer_model as model
 
 
 def pendulum_backup(x, k=3.0, largest=1.0, d=0.1, cap=0.1):

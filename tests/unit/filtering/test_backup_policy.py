@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from alula import _core
-from support import backup_model as model
-from support import quadrotor_model as body
+from support.models import backup_model as model
+from support.models import quadrotor_model as body
 
 KINDS = ["hover", "heading-invariant", "brake"]
 NUMBER = st.floats(-1e3, 1e3) | st.floats(-1e60, 1e60)

@@ -1,7 +1,6 @@
 """Filters of velocities on the chord: recorded numbers of the Python version before it, lag 0, failures."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,12 +12,12 @@ from alula.stages.filtering.bridge import native_filter
 from alula.stages.filtering.polytope_cbf import without_filter
 from alula.stages.filtering.protocol import FilterResult, FilterStatus, FilterWorld
 from alula.stages.filtering.registry import make_filter
-from support import chord_scenes
-from support.chord_scenes import SPEED_M_S, scenes
-from support.small_scenes import box_cover
+from support.paths import SUPPORT
+from support.scenes.chord_scenes import SPEED_M_S, scenes
+from support.scenes.small_scenes import box_cover
 
 # Of the scenes of seed 7: status, active hull, calls of the filter, margin, velocity.
-VECTORS = json.loads(Path(chord_scenes.__file__).with_name("vectors_chord.json").read_text())
+VECTORS = json.loads((SUPPORT / "vectors_chord.json").read_text())
 BOX = Hulls.from_cover(box_cover([((0, 0, 0), (10, 10, 10))]))  # from 0 to 1 m
 WORLD = FilterWorld(hulls=BOX, radius_m=0.1, speed_m_s=2.0, dt_s=0.01, extent_m=9.0)
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from alula import _core
-from support.quadrotor_model import INERTIA, MASS, VECTORS, body_to_inertial, fastbridge, sigma_rate
-from support.splat_filter_model import cone, outer_matrix
+from support.models.quadrotor_model import INERTIA, MASS, VECTORS, body_to_inertial, fastbridge, sigma_rate
+from support.models.splat_filter_model import cone, outer_matrix
 
 STEP = 1e-30
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from alula import _core
-from support import backup_model as model
-from support import quadrotor_model as body
-from support import splat_filter_model as filters
-from support.wrench_flight import (
+from support.models import backup_model as model
+from support.models import quadrotor_model as body
+from support.models import splat_filter_model as filters
+from support.models.wrench_flight import (
     BACKUP,
     FILTERED,
     HOVER,

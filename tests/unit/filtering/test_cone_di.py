@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from alula import _core
 from support.effort import examples
-from support.splat_filter_model import cone, gate, outer_matrix, scene
+from support.models.splat_filter_model import cone, gate, outer_matrix, scene
 
 OK, FILTERED, RECOVERING, REFUSED = 0, 1, 3, 4
 RADIUS = 0.15

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 
 from alula import _core
 from alula.stages.planning.rest_to_rest import rest_to_rest
-from support import quadrotor_model as body
-from support import splat_filter_model as filters
-from support.reference_flights import along, vehicle_of
-from support.wrench_flight import (
+from support.flights.reference_flights import along, vehicle_of
+from support.models import quadrotor_model as body
+from support.models import splat_filter_model as filters
+from support.models.wrench_flight import (
     BACKUP,
     FILTERED,
     HOVER,

@@ -10,7 +10,7 @@ from scipy.stats import norm
 
 from alula import _core
 from support.effort import examples
-from support.moving_scenes import NO_TRACKS, NO_WALLS, crowd, track, tracks
+from support.scenes.moving_scenes import NO_TRACKS, NO_WALLS, crowd, track, tracks
 
 DEFAULTS = _core.moving_filter_defaults()
 BARE = {"latency_s": 0.0, "j_max": 0.0}

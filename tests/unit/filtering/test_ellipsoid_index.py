@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from alula import _core
 from support.effort import examples
-from support.splat_filter_model import outer_matrix, rotation, scene
+from support.models.splat_filter_model import outer_matrix, rotation, scene
 
 
 def index_of(rows, sigma=1.0, radius=0.2, loss=None):

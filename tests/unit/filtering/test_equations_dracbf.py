@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from alula import _core
-from support.moving_scenes import NO_WALLS, crowd
+from support.scenes.moving_scenes import NO_WALLS, crowd
 
 ENVELOPE = 1.0  # ahat of a track in its first tick
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from alula import _core
-from support import racer_model as model
+from support.models import racer_model as model
 
 
 def filter_in(**parameters):

@@ -11,10 +11,10 @@ from alula import _core
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard.layout import encode_map
 from alula.stages.vehicles.fence import fence
-from support import covers
-from support import racer_model as model
 from support.effort import examples
-from support.fence_flights import fly_in
+from support.flights.fence_flights import fly_in
+from support.models import racer_model as model
+from support.scenes import covers
 
 HOVERING = np.r_[0, 0, 30.0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0]
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from alula import _core
-from support import racer_model as model
+from support.models import racer_model as model
 from support.paths import ROOT
 
 STATUS = ("passed", "blended", "backup", "no-pilot", "hand-over", "refused")

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from alula import _core
-from support import racer_model as model
-from support.fence_flights import fly_in
+from support.flights.fence_flights import fly_in
+from support.models import racer_model as model
 
 ROOM, STARTS = ((-40.0, -40, 0.5), (40.0, 40, 60)), ((-39.0, -39, 1.5), (39.0, 39, 59))
 PILOTS = ("aggressive", "sticks", "straight", "silent")

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from alula import _core
 from alula.stages.filtering.qp import QpStatus
 from support.effort import examples
-from support.half_space_families import KINDS, LIMIT, MARGIN, half_spaces, roomiest, unit, violation
-from support.qp import solve_qp
+from support.models.half_space_families import KINDS, LIMIT, MARGIN, half_spaces, roomiest, unit, violation
+from support.models.qp import solve_qp
 
 BOX = np.vstack([np.eye(3), -np.eye(3)])
 

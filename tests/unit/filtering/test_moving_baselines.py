@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from alula import _core
 from alula.stages.filtering.qp import clarabel_backend
 from support.effort import examples
-from support.moving_scenes import NO_TRACKS, NO_WALLS, crowd, track, tracks
+from support.scenes.moving_scenes import NO_TRACKS, NO_WALLS, crowd, track, tracks
 
 ZERO = [0.0, 0.0, 0.0]
 AVOID, RECOVERING = 1, 3

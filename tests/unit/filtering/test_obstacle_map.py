@@ -12,8 +12,8 @@ from alula.stages.clearance import hull_obstacles
 from alula.stages.compression.hulls import Hulls
 from alula.stages.compression.onboard.layout import encode_map
 from support.effort import examples
-from support.small_scenes import box_cover
-from support.splat_filter_model import rotation
+from support.models.splat_filter_model import rotation
+from support.scenes.small_scenes import box_cover
 
 
 def ellipsoids(rng, count=30, size=3.0):

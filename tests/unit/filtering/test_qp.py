@@ -12,8 +12,8 @@ from alula import _core
 from alula.schemas.errors import UsageError
 from alula.stages.filtering.qp import QpStatus, clarabel_backend
 from support.effort import examples
-from support.qp import solve_qp
-from support.qp_families import (
+from support.models.qp import solve_qp
+from support.models.qp_families import (
     FAMILIES,
     INFEASIBLE,
     LOOSE,

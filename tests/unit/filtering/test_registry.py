@@ -26,9 +26,9 @@ from alula.stages.filtering.protocol import (
 )
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from alula.stages.vehicles.racer import racer_model
-from support.fabricate import make_scene
-from support.foreign_filters import OfVelocities, Passing, Wrapped, provide
-from support.small_scenes import box_cover
+from support.flights.foreign_filters import OfVelocities, Passing, Wrapped, provide
+from support.scenes.fabricate import make_scene
+from support.scenes.small_scenes import box_cover
 
 BODY = quadrotor(FASTBRIDGE)
 HULLS = Hulls.from_cover(box_cover([((20, -5, 0), (22, 25, 20))]))

@@ -13,7 +13,7 @@ from alula.stages.filtering.bridge import native_filter
 from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.filtering.registry import make_filter
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
-from support.small_scenes import box_cover
+from support.scenes.small_scenes import box_cover
 
 DT, LAG, ROOM = 0.01, 0.9, 0.3
 BODY = quadrotor(FASTBRIDGE)

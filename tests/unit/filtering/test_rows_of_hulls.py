@@ -6,7 +6,7 @@ from scipy.optimize import nnls
 from scipy.spatial import ConvexHull
 
 from alula import _core
-from support.wrench_flight import HOVER, OK, RADIUS, VEHICLE, empty_scene, moving, tick
+from support.models.wrench_flight import HOVER, OK, RADIUS, VEHICLE, empty_scene, moving, tick
 
 ALPHA, BETA = 5.0, 1.0
 POLICY = _core.BackupPolicy(VEHICLE, "brake")

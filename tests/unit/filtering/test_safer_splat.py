@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from alula import _core
 from support.effort import examples
-from support.splat_filter_model import distance_barrier, gate, scene
+from support.models.splat_filter_model import distance_barrier, gate, scene
 
 OK, FILTERED, RECOVERING, REFUSED = 0, 1, 3, 4
 RADIUS = 0.1

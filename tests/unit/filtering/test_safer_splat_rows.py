@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from alula import _core
 from support.effort import examples
-from support.splat_filter_model import scene
+from support.models.splat_filter_model import scene
 
 OK, FILTERED, RECOVERING = 0, 1, 3
 RADIUS = 0.1

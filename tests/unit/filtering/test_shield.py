@@ -6,9 +6,8 @@ import pytest
 from alula import _core
 from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.vehicles.bodies import quadrotor
-from support import backup_model as model
-from support.paths import VEHICLES
-from support.wrench_flight import (
+from support.models import backup_model as model
+from support.models.wrench_flight import (
     BACKUP,
     VEHICLE,
     Flight,
@@ -21,6 +20,7 @@ from support.wrench_flight import (
     shield_of,
     wall_scene,
 )
+from support.paths import VEHICLES
 
 
 @pytest.mark.every(3)

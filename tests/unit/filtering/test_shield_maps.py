@@ -13,10 +13,9 @@ from alula.stages.filtering.bridge import NativeFilter
 from alula.stages.filtering.ellipsoid_filters import certified_against, parameters_of
 from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.filtering.registry import complete_parameters, make_filter
-from support import backup_model as model
-from support import quadrotor_model as body
-from support.small_scenes import box_cover
-from support.wrench_flight import (
+from support.models import backup_model as model
+from support.models import quadrotor_model as body
+from support.models.wrench_flight import (
     BACKUP,
     OK,
     RADIUS,
@@ -32,6 +31,7 @@ from support.wrench_flight import (
     shield_of,
     tick,
 )
+from support.scenes.small_scenes import box_cover
 
 POLICY = _core.BackupPolicy(VEHICLE, "brake")
 

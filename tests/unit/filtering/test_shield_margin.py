@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from alula import _core
-from support.wrench_flight import (
+from support.models.wrench_flight import (
     BACKUP,
     RADIUS,
     RECOVERING,

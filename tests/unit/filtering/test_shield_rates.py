@@ -10,10 +10,10 @@ from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.filtering.registry import make_filter
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
-from support import quadrotor_model as model
+from support.flights.reference_flights import along, vehicle_of
+from support.models import quadrotor_model as model
+from support.models.wrench_flight import Scene, empty_scene, moving, random_scene, wall_scene
 from support.paths import VEHICLES
-from support.reference_flights import along, vehicle_of
-from support.wrench_flight import Scene, empty_scene, moving, random_scene, wall_scene
 
 CRAZYFLIE = read_vehicle(VEHICLES / "crazyflie21.toml")
 BODY, GAINS = quadrotor(CRAZYFLIE), tracking_gains(CRAZYFLIE)

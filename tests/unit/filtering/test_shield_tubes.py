@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from alula import _core
-from support import backup_model as model
-from support.wrench_flight import (
+from support.models import backup_model as model
+from support.models.wrench_flight import (
     BACKUP,
     HOVER,
     OK,

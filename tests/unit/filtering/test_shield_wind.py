@@ -6,8 +6,8 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from alula import _core
-from support import quadrotor_model as model
-from support.wrench_flight import RADIUS, VEHICLE, moving, shield_of, wall_scene
+from support.models import quadrotor_model as model
+from support.models.wrench_flight import RADIUS, VEHICLE, moving, shield_of, wall_scene
 
 G = VEHICLE.gravity
 INERTIA = np.array(VEHICLE.inertia)

@@ -9,11 +9,11 @@ from alula.schemas.scenarios.vehicle import FASTBRIDGE, read_vehicle
 from alula.stages.flight.loop.supervisor import Event, State
 from alula.stages.flight.mission import make_needs
 from alula.stages.vehicles.setpoints import RatesSetpoint, VelocitySetpoint
-from support.flights import BALL, mission
-from support.lockstep import Flight, Upset, stall
+from support.flights.flights import BALL, mission
 from support.paths import VEHICLES
-from support.served_autopilot import G, flight, stream, take_off
-from support.small_scenes import line_plan
+from support.scenes.small_scenes import line_plan
+from support.vehicles.lockstep import Flight, Upset, stall
+from support.vehicles.served_autopilot import G, flight, stream, take_off
 
 SPEED = 1.0
 

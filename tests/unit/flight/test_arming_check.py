@@ -7,9 +7,9 @@ from alula.stages.flight.links.mavlink.telemetry import Telemetry
 from alula.stages.flight.loop.supervisor import Event, State
 from alula.stages.sim_vehicle.common.packets import mavlink
 from alula.stages.sim_vehicle.common.pilot import Pilot
-from support.flights import mission
-from support.lockstep import Flight, Upset, fault
-from support.small_scenes import line_plan
+from support.flights.flights import mission
+from support.scenes.small_scenes import line_plan
+from support.vehicles.lockstep import Flight, Upset, fault
 
 PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from alula.stages.flight.loop.supervisor import Event, State
-from support.flights import mission
-from support.lockstep import Flight
+from support.flights.flights import mission
+from support.vehicles.lockstep import Flight
 
 MOVES_M, MOVE_S, REST_S = 0.4, 0.6, 0.4
 

@@ -4,9 +4,9 @@ import pytest
 
 from alula.stages.flight.links.mavlink.autopilots import ARDUPILOT, PX4
 from alula.stages.flight.loop.supervisor import Event, State
-from support.flights import BALL, mission
-from support.lockstep import Flight, Upset, set_by_another
-from support.small_scenes import line_plan
+from support.flights.flights import BALL, mission
+from support.scenes.small_scenes import line_plan
+from support.vehicles.lockstep import Flight, Upset, set_by_another
 
 
 def flown(do, made=None):

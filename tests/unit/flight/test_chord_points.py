@@ -7,7 +7,7 @@ import pytest
 
 from alula.schemas.errors import InputError
 from alula.stages.filtering.protocol import FilterResult, FilterStatus, FlightState, Nominal
-from support.velocity_worlds import ZERO, commander_around, seen, target_at, world
+from support.flights.velocity_worlds import ZERO, commander_around, seen, target_at, world
 
 
 @pytest.mark.parametrize(

@@ -16,9 +16,9 @@ from alula.stages.flight.loop.plan_clock import PlanClock, heading_of
 from alula.stages.flight.mission import make_commander
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint, VelocitySetpoint
-from support.flights import BALL, START, mission, safety_of
-from support.reference_flights import along, vehicle_of
-from support.small_scenes import box_cover, line_plan
+from support.flights.flights import BALL, START, mission, safety_of
+from support.flights.reference_flights import along, vehicle_of
+from support.scenes.small_scenes import box_cover, line_plan
 
 DT = 0.01
 

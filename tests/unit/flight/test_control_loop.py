@@ -7,8 +7,7 @@ from alula.stages.filtering.protocol import FilterStatus, FlightState, Nominal
 from alula.stages.flight.links.protocol import Order
 from alula.stages.flight.loop.supervisor import Event, State
 from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint, VelocitySetpoint
-from support.fake_vehicle import FakeClock, FakeVehicle
-from support.flights import (
+from support.flights.flights import (
     BALL,
     GOAL,
     PILLAR,
@@ -21,8 +20,9 @@ from support.flights import (
     refilter,
     safety_of,
 )
-from support.foreign_filters import OfVelocities
-from support.small_scenes import ball_scene, box_cover, line_plan
+from support.flights.foreign_filters import OfVelocities
+from support.scenes.small_scenes import ball_scene, box_cover, line_plan
+from support.vehicles.fake_vehicle import FakeClock, FakeVehicle
 
 RATES, ACCELERATIONS, VELOCITIES = (
     frozenset({kind}) for kind in (RatesSetpoint, AccelerationSetpoint, VelocitySetpoint)

@@ -6,9 +6,9 @@ import pytest
 from alula.schemas.errors import LinkError
 from alula.stages.flight.links.protocol import Order
 from alula.stages.flight.loop.supervisor import Event, State
-from support.fake_vehicle import FakeClock, FakeVehicle
-from support.flights import START, after, fly, loop_of, mission
-from support.small_scenes import line_plan
+from support.flights.flights import START, after, fly, loop_of, mission
+from support.scenes.small_scenes import line_plan
+from support.vehicles.fake_vehicle import FakeClock, FakeVehicle
 
 AS_PLANNED = ["checks", "arming", "take-off", "fly", "land", "done"]
 

@@ -12,9 +12,9 @@ from alula.stages.flight.links.protocol import Order, VehicleState
 from alula.stages.flight.loop.crash_watch import CrashWatch
 from alula.stages.flight.loop.supervisor import Event, State
 from alula.stages.sim_vehicle.common.packets import mavlink
-from support.flights import mission
-from support.lockstep import Flight, Upset, blow, fault, topple
-from support.small_scenes import line_plan
+from support.flights.flights import mission
+from support.scenes.small_scenes import line_plan
+from support.vehicles.lockstep import Flight, Upset, blow, fault, topple
 
 START, GOAL = (0.3, 2.0, 0.5), (2.7, 2.0, 0.5)
 JUMPS = {"jump_m": 9.0}  # the vehicle is moved by hand
@@ -87,7 +87,7 @@ def test_a_crash_in_the_landing_after_the_plan_is_no_success():
 def test_a_vehicle_that_leans_into_the_wind_on_the_ground_is_made_to_notice_it(monkeypatch, start_deg):
     disturbance = msgspec.structs.replace(FASTBRIDGE.disturbance, linear_drag_n_s_m=(0.25,) * 3)
     windy = msgspec.structs.replace(FASTBRIDGE, disturbance=disturbance)
-    monkeypatch.setattr("support.served_autopilot.FASTBRIDGE", windy)
+    monkeypatch.setattr("support.vehicles.served_autopilot.FASTBRIDGE", windy)
     gale = Upset(State.LAND, 0.1, blow(8.0, 0.0, 0.0))
     made = mission(plan=line_plan(START, GOAL, 3.5), rate_hz=50.0)
     flight = Flight(made, [gale], {"landed_m": 3.0}, {"PSC_ANGLE_MAX": start_deg})

@@ -8,7 +8,7 @@ import pytest
 from alula.stages.flight.watchdog import companion
 from alula.stages.flight.watchdog.companion import STALL_S, STOPPING_S
 from alula.stages.flight.watchdog.crazyflie_companion import SINK_M_S, Takeover
-from support.crazyflie_rehearsal import Rehearsal, velocity
+from support.vehicles.crazyflie_rehearsal import Rehearsal, velocity
 
 FLOOR = 0.0
 

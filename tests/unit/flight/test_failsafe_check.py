@@ -21,10 +21,10 @@ from alula.stages.flight.loop.ways_home import closest_way_home
 from alula.stages.planning.trajectory import evaluate
 from alula.stages.sim_vehicle.common.packets import mavlink
 from alula.stages.vehicles.velocity_lag import stop_m
-from support.autopilot_client import Client
-from support.flights import mission
-from support.lockstep import Flight, Upset, fault
-from support.small_scenes import box_cover, line_plan
+from support.flights.flights import mission
+from support.scenes.small_scenes import box_cover, line_plan
+from support.vehicles.autopilot_client import Client
+from support.vehicles.lockstep import Flight, Upset, fault
 
 START, GOAL = (0.3, 2.0, 0.8), (3.7, 2.0, 0.8)
 CEILING = [((-30, -30, 25), (80, 80, 28))]  # 2.5 m above the floor, everywhere

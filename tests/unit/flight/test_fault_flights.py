@@ -12,10 +12,10 @@ from alula.schemas.artifacts.artifact import read_artifact
 from alula.schemas.artifacts.kinds import COVER, PLAN, SCENE
 from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.flight.loop.supervisor import Event, State
-from support.autopilot_client import QUICK
-from support.flights import mission
-from support.lockstep import Flight, Upset, fault
+from support.flights.flights import mission
 from support.paths import VEHICLES
+from support.vehicles.autopilot_client import QUICK
+from support.vehicles.lockstep import Flight, Upset, fault
 
 START, GOAL = "0.8 0.8 0.9", "4.7 3.6 1.1"  # behind a hoop and a pillar
 FILTERS = ("cone-backup", "polytope-cbf")

@@ -20,8 +20,8 @@ from alula.schemas.log.run import FLIGHT_METADATA, read_run
 from alula.schemas.log.start_time import utc_text
 from alula.stages.flight.judge import guarantee_of, timing_of
 from alula.stages.flight.recorder.log import FlightRecorder
-from support.flight_logs import head_of, record_of, sample
-from support.flights import fly, mission
+from support.flights.flight_logs import head_of, record_of, sample
+from support.flights.flights import fly, mission
 
 
 def test_a_flight_is_logged_as_simulate_logs_one(tmp_path):
@@ -159,8 +159,8 @@ def test_a_log_of_a_killed_flight_is_closed_by_its_writer(tmp_path):
 import os, signal, sys
 sys.path[:0] = {sys.path!r}
 from pathlib import Path
-from support.flight_logs import head_of, sample
-from support.flights import mission
+from support.flights.flight_logs import head_of, sample
+from support.flights.flights import mission
 from alula.stages.flight.recorder.log import FlightRecorder
 recorder = FlightRecorder(Path({str(log)!r}), head_of(mission()), echo=False)
 for i in range(100):
@@ -216,8 +216,8 @@ def writer_of(path, *, limit="", stderr=subprocess.PIPE, seconds=0.0):
 import resource, sys, time
 sys.path[:0] = {sys.path!r}
 from pathlib import Path
-from support.flight_logs import head_of, sample
-from support.flights import mission
+from support.flights.flight_logs import head_of, sample
+from support.flights.flights import mission
 from alula.stages.flight.recorder.log import FlightRecorder
 {limit}
 recorder = FlightRecorder({path and f"Path({str(path)!r})"}, head_of(mission()), echo=True)

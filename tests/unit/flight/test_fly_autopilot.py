@@ -8,10 +8,8 @@ from alula.stages.flight.loop.supervisor import Event
 from alula.stages.sim_vehicle.ardupilot.copter import ArduCopter
 from alula.stages.sim_vehicle.ardupilot.modes import Mode
 from alula.stages.sim_vehicle.px4.modes import Px4Mode
-from support.flights import BALL, GOAL, START, mission
-from support.paths import VEHICLES
-from support.small_scenes import box_cover, line_plan
-from support.watched_flights import (
+from support.flights.flights import BALL, GOAL, START, mission
+from support.flights.watched_flights import (
     AS_PLANNED,
     INDOORS,
     Watched,
@@ -20,6 +18,8 @@ from support.watched_flights import (
     fly,
     true_path,
 )
+from support.paths import VEHICLES
+from support.scenes.small_scenes import box_cover, line_plan
 
 
 @pytest.fixture(scope="module")

@@ -16,8 +16,8 @@ from alula.schemas.log.channels import FLIGHT_TOPICS, schema_name, struct_of
 from alula.schemas.log.json_schema import json_schema
 from alula.stages.flight.recorder.foxglove_server import open_foxglove
 from alula.stages.flight.recorder.log import FlightRecorder
-from support.flight_logs import head_of, sample
-from support.flights import mission
+from support.flights.flight_logs import head_of, sample
+from support.flights.flights import mission
 
 START = 1_777_636_800_000_000_000
 
@@ -43,7 +43,7 @@ def served(head):
 
 
 def listen(port, **how):
-    from support.foxglove_client import FoxgloveClient
+    from support.vehicles.foxglove_client import FoxgloveClient
 
     return FoxgloveClient(port, **how)
 

@@ -11,9 +11,9 @@ from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.flight.links.protocol import VehicleState
 from alula.stages.flight.loop.frame_check import MotionCheck
 from alula.stages.flight.loop.supervisor import Event
-from support.flights import mission
-from support.lockstep import Flight
-from support.small_scenes import line_plan
+from support.flights.flights import mission
+from support.scenes.small_scenes import line_plan
+from support.vehicles.lockstep import Flight
 
 DT = 0.01
 
@@ -88,7 +88,7 @@ def test_the_simulated_autopilot_flies_in_wind(monkeypatch, wind):
         FASTBRIDGE.disturbance, wind_m_s=wind, linear_drag_n_s_m=(0.25,) * 3
     )
     windy = msgspec.structs.replace(FASTBRIDGE, disturbance=disturbance)
-    monkeypatch.setattr("support.served_autopilot.FASTBRIDGE", windy)
+    monkeypatch.setattr("support.vehicles.served_autopilot.FASTBRIDGE", windy)
     made = mission(plan=line_plan((0.3, 2.0, 0.5), (2.7, 2.0, 0.5), 3.5), rate_hz=50.0, near_m=3.0)
     flight = Flight(made).fly()
     assert flight.cause is not Event.FRAME_WRONG, flight.recorder.lines[-6:]

@@ -6,10 +6,10 @@ import pytest
 from alula.schemas.scenarios.vehicle import FASTBRIDGE, read_vehicle
 from alula.stages.flight.loop.supervisor import Event, State
 from alula.stages.sim_vehicle.ardupilot.copter import ArduCopter
-from support.flights import mission
-from support.lockstep import Flight
+from support.flights.flights import mission
 from support.paths import VEHICLES
-from support.small_scenes import ball_scene, line_plan
+from support.scenes.small_scenes import ball_scene, line_plan
+from support.vehicles.lockstep import Flight
 
 FAR = ball_scene([(2.0, 9.0, 1.0)], 0.3)
 PLAN = line_plan((0.3, 2.0, 1.0), (3.7, 2.0, 1.0), 7.0)

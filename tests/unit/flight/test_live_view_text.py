@@ -11,7 +11,7 @@ from alula.schemas.log.foxglove import SceneUpdate
 from alula.stages.flight.loop.supervisor import Event
 from alula.stages.flight.recorder.live_view import ViewHead, _View
 from alula.stages.flight.recorder.samples import LineSample, PlanSample, StepSample, encoded
-from support.flight_logs import sample
+from support.flights.flight_logs import sample
 
 OURS = {"p", "b", "table", "tr", "td", "ul", "li"}
 HOSTILE = (

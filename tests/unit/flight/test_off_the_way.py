@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from alula.stages.flight.links.protocol import Order, VehicleState
 from alula.stages.flight.loop.supervisor import Event, State
 from alula.stages.flight.loop.watches import JumpWatch, PositionWatch, SlipWatch
-from support.fake_vehicle import FakeClock, FakeVehicle
-from support.flights import START, fly, loop_of, mission
-from support.small_scenes import box_cover, line_plan
+from support.flights.flights import START, fly, loop_of, mission
+from support.scenes.small_scenes import box_cover, line_plan
+from support.vehicles.fake_vehicle import FakeClock, FakeVehicle
 
 LEVEL = np.array([1.0, 0, 0, 0])
 

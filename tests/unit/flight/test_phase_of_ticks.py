@@ -5,9 +5,9 @@ import pytest
 from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.flight.loop.supervisor import Event
 from support.effort import some
-from support.flights import BALL, mission
+from support.flights.flights import BALL, mission
+from support.flights.watched_flights import Watched, clearance, flight, true_path
 from support.paths import VEHICLES
-from support.watched_flights import Watched, clearance, flight, true_path
 
 COPTER = read_vehicle(VEHICLES / "arducopter.toml")
 PHASES_S = [1e-3 * phase for phase in range(10)]

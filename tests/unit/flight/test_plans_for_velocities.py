@@ -8,9 +8,9 @@ from alula.schemas.artifacts.artifact import write_artifact
 from alula.stages.flight.judge import judge
 from alula.stages.flight.loop.supervisor import Event
 from alula.stages.flight.recorder.log import row_of
-from support.flights import mission
-from support.lockstep import Flight
-from support.small_scenes import SLALOM
+from support.flights.flights import mission
+from support.scenes.small_scenes import SLALOM
+from support.vehicles.lockstep import Flight
 
 
 @pytest.mark.every(4)

@@ -15,9 +15,9 @@ from alula.stages.flight.loop.preflight import CHECKS, Observed, climb, verdicts
 from alula.stages.flight.loop.supervisor import Event
 from alula.stages.flight.mission import make_needs, wanted_setpoints
 from alula.stages.vehicles.setpoints import RatesSetpoint
-from support.fake_vehicle import FakeClock, FakeVehicle
-from support.flights import START, fly, loop_of, mission
-from support.small_scenes import box_cover, line_plan
+from support.flights.flights import START, fly, loop_of, mission
+from support.scenes.small_scenes import box_cover, line_plan
+from support.vehicles.fake_vehicle import FakeClock, FakeVehicle
 
 LEVEL = np.array([1.0, 0, 0, 0])
 

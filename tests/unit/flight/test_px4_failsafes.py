@@ -13,10 +13,10 @@ from alula.stages.sim_vehicle.common.packets import mavlink as m
 from alula.stages.sim_vehicle.px4.modes import Px4Mode
 from alula.stages.sim_vehicle.px4.parameters import TABLE
 from alula.stages.sim_vehicle.px4.vehicle import Px4Copter
-from support.autopilot_client import Client
-from support.flights import mission
-from support.served_autopilot import Served, flight
-from support.small_scenes import box_cover, line_plan
+from support.flights.flights import mission
+from support.scenes.small_scenes import box_cover, line_plan
+from support.vehicles.autopilot_client import Client
+from support.vehicles.served_autopilot import Served, flight
 
 DEFAULTS = {name: float(value) for name, (_, value) in TABLE.items() if name in PX4_SAFETY}
 BOOTED = DEFAULTS | {"COM_OF_LOSS_T": 0.3, "COM_OBL_RC_ACT": 4.0, "COM_RCL_EXCEPT": 4.0}

@@ -5,9 +5,9 @@ import pytest
 from alula.stages.flight.loop.supervisor import Event
 from alula.stages.sim_vehicle.common.faults import Fault
 from alula.stages.sim_vehicle.px4.modes import Px4Mode
-from support.flights import GOAL, START, mission
-from support.small_scenes import line_plan
-from support.watched_flights import AS_PLANNED, WatchedPx4, clearance, fly, true_path
+from support.flights.flights import GOAL, START, mission
+from support.flights.watched_flights import AS_PLANNED, WatchedPx4, clearance, fly, true_path
+from support.scenes.small_scenes import line_plan
 
 
 def fly_px4(made, *faults, **keywords):

@@ -9,9 +9,9 @@ from alula.cli.main import run
 from alula.schemas.artifacts.artifact import read_artifact
 from alula.stages.flight.loop.supervisor import Event
 from alula.stages.planning.adherence import outcome_of_plan
-from support.doc_files import DocFiles
-from support.lockstep import Flight
+from support.files.doc_files import DocFiles
 from support.paths import ROOT
+from support.vehicles.lockstep import Flight
 
 if not (ROOT / "README.md").is_file():
     pytest.skip("not a checkout", allow_module_level=True)

@@ -30,11 +30,11 @@ from alula.stages.planning.limits import beyond_followed
 from alula.stages.planning.plan import plan
 from alula.stages.planning.plan_samples import curve_of
 from alula.stages.planning.verify import verify_plan
-from support.flights import BALL, PILLAR, mission
-from support.lockstep import Flight
+from support.flights.flights import BALL, PILLAR, mission
+from support.flights.replanning import refusing, replanner_of
 from support.paths import VEHICLES
-from support.replanning import refusing, replanner_of
-from support.small_scenes import box_cover, line_plan
+from support.scenes.small_scenes import box_cover, line_plan
+from support.vehicles.lockstep import Flight
 
 BOX = box_cover([((18, 14, 0), (22, 30, 20))])  # x 1.8 to 2.2, y 1.4 to 3: only the filter knows it
 ELSEWHERE = box_cover([((18, 60, 0), (22, 70, 20))])

@@ -11,11 +11,11 @@ from alula.schemas.log.mcap import messages
 from alula.stages.flight.mission import make_commander
 from alula.stages.flight.recorder.log import FlightRecorder
 from alula.stages.flight.replay import replay
-from support.flight_logs import head_of, record_of
-from support.flights import BALL, GOAL, START, mission
-from support.flights import fly as fly_fake
-from support.small_scenes import line_plan
-from support.watched_flights import fly
+from support.flights.flight_logs import head_of, record_of
+from support.flights.flights import BALL, GOAL, START, mission
+from support.flights.flights import fly as fly_fake
+from support.flights.watched_flights import fly
+from support.scenes.small_scenes import line_plan
 
 
 def recorded(path, made, flown, **keywords):

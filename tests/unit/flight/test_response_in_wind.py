@@ -7,10 +7,10 @@ from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.flight import mission as missions
 from alula.stages.flight.loop.supervisor import Event, State
 from alula.stages.sim_vehicle.common.estimator import EstimatorOptions
-from support.flights import mission
-from support.lockstep import Flight, Upset, blow
+from support.flights.flights import mission
 from support.paths import VEHICLES
-from support.small_scenes import ball_scene, box_cover, line_plan
+from support.scenes.small_scenes import ball_scene, box_cover, line_plan
+from support.vehicles.lockstep import Flight, Upset, blow
 
 COPTER = read_vehicle(VEHICLES / "arducopter.toml")
 NOISY = EstimatorOptions(boot_time_s=0.5)  # its default noise

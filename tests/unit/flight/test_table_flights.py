@@ -8,9 +8,10 @@ import pytest
 
 from alula.stages.filtering.protocol import FilterResult, FilterStatus
 from alula.stages.flight.loop.supervisor_table import TABLE, Event, State
-from support.flights import mission, refilter
-from support.foreign_filters import OfVelocities
-from support.lockstep import (
+from support.flights.flights import mission, refilter
+from support.flights.foreign_filters import OfVelocities
+from support.scenes.small_scenes import line_plan
+from support.vehicles.lockstep import (
     Flight,
     Upset,
     allow,
@@ -30,7 +31,6 @@ from support.lockstep import (
     unmute,
     unseen,
 )
-from support.small_scenes import line_plan
 
 S, E = State, Event
 START, GOAL = (0.3, 2.0, 0.5), (2.7, 2.0, 0.5)

@@ -6,9 +6,9 @@ import pytest
 from alula.schemas.artifacts.tiles import read_tiles
 from alula.schemas.errors import UsageError
 from alula.stages.flight.loop.supervisor import State
-from support.flights import PILLAR, fly, mission
-from support.small_scenes import box_cover
-from support.tiled import KEY, folder_of
+from support.flights.flights import PILLAR, fly, mission
+from support.scenes.small_scenes import box_cover
+from support.scenes.tiled import KEY, folder_of
 
 
 @pytest.fixture

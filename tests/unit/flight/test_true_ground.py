@@ -10,10 +10,10 @@ from alula.stages.flight.links.options import LinkOptions
 from alula.stages.flight.loop.supervisor import Event
 from alula.stages.sim_vehicle.common.airframe import Terrain
 from alula.stages.vehicles.ground import Footing, Ground, ground_of
-from support.flights import loop_of, mission
-from support.lockstep import Flight
-from support.mavlink_peer import Time
-from support.small_scenes import ball_scene, box_cover, rest_plan
+from support.flights.flights import loop_of, mission
+from support.scenes.small_scenes import ball_scene, box_cover, rest_plan
+from support.vehicles.lockstep import Flight
+from support.vehicles.mavlink_peer import Time
 
 STEP = [((-10, 0, -2), (20, 40, 0)), ((20, 0, -12), (50, 40, -10))]  # down by 1 m at x = 2
 START, GOAL = (0.5, 2.0, 1.0), (3.5, 2.0, -0.4)

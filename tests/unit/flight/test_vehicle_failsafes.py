@@ -5,9 +5,9 @@ import pytest
 from alula.stages.flight.links.mavlink.telemetry import Telemetry
 from alula.stages.flight.loop.supervisor import Event, State
 from alula.stages.sim_vehicle.common.packets import mavlink
-from support.flights import mission
-from support.lockstep import Flight, Upset, fault
-from support.small_scenes import line_plan
+from support.flights.flights import mission
+from support.scenes.small_scenes import line_plan
+from support.vehicles.lockstep import Flight, Upset, fault
 
 START, GOAL = (0.3, 2.0, 0.5), (2.7, 2.0, 0.5)
 AT_ONCE = {"BATT_LOW_TIMER": 0.0}

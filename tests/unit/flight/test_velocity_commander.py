@@ -15,14 +15,14 @@ from alula.stages.flight.mission import make_commander
 from alula.stages.vehicles.setpoints import RatesSetpoint, VelocitySetpoint
 from alula.stages.vehicles.simulated_body import STEP_S, Body
 from alula.stages.vehicles.velocity_lag import filter_lags_s, max_speed_m_s, needed_deceleration_m_s2
-from support.autopilot_client import EXACT, Client
-from support.crazyflie_rehearsal import Rehearsal
-from support.crazyflie_rehearsal import velocity as crazyflie_velocity
 from support.effort import examples
-from support.flights import mission
-from support.responses import MEASURED
-from support.small_scenes import box_cover
-from support.velocity_worlds import BOXES, ZERO, commander_around, seen, target_at, world
+from support.flights.flights import mission
+from support.flights.velocity_worlds import BOXES, ZERO, commander_around, seen, target_at, world
+from support.scenes.small_scenes import box_cover
+from support.vehicles.autopilot_client import EXACT, Client
+from support.vehicles.crazyflie_rehearsal import Rehearsal
+from support.vehicles.crazyflie_rehearsal import velocity as crazyflie_velocity
+from support.vehicles.responses import MEASURED
 
 DT, STEPS = 0.01, 4
 RADIUS_M, MARGIN_M = 0.15, 0.1

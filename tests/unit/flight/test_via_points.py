@@ -15,9 +15,9 @@ from alula.stages.flight.loop.supervisor import Event, State
 from alula.stages.flight.replan.of_mission import replan_facts
 from alula.stages.planning.plan import plan
 from alula.stages.sim_vehicle.common.quaternions import to_euler
-from support.flights import PILLAR, mission
-from support.lockstep import Flight
-from support.small_scenes import box_cover
+from support.flights.flights import PILLAR, mission
+from support.scenes.small_scenes import box_cover
+from support.vehicles.lockstep import Flight
 
 DT = 0.01
 VIA = (2.0, 1.78, 1.0)  # as near to the pillar as the filter lets it

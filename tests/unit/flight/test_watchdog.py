@@ -21,12 +21,12 @@ from alula.stages.flight.watchdog.companion import REACTION_S, STALL_S, STOPPING
 from alula.stages.sim_vehicle.px4.modes import Px4Mode
 from alula.stages.sim_vehicle.px4.vehicle import Px4Copter
 from alula.stages.vehicles.setpoints import VelocitySetpoint
-from support.flights import BALL, mission
-from support.lockstep import Flight, Upset, interrupt, stall
-from support.mavlink_peer import m, vehicle
-from support.served_autopilot import Served, flight, stream, take_off
-from support.small_scenes import line_plan
-from support.watchdogs import WatchdogHere
+from support.flights.flights import BALL, mission
+from support.scenes.small_scenes import line_plan
+from support.vehicles.lockstep import Flight, Upset, interrupt, stall
+from support.vehicles.mavlink_peer import m, vehicle
+from support.vehicles.served_autopilot import Served, flight, stream, take_off
+from support.vehicles.watchdogs import WatchdogHere
 
 KEY = bytes(range(32))
 MODE_ORDERS = (m.MAV_CMD_DO_SET_MODE,)

@@ -5,10 +5,10 @@ import pytest
 
 from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.flight.loop.supervisor import Event, State
-from support.flights import PILLAR, mission
-from support.lockstep import Flight, Upset, blow
+from support.flights.flights import PILLAR, mission
 from support.paths import VEHICLES
-from support.small_scenes import box_cover, line_plan
+from support.scenes.small_scenes import box_cover, line_plan
+from support.vehicles.lockstep import Flight, Upset, blow
 
 COPTER = read_vehicle(VEHICLES / "arducopter.toml")
 START, GOAL = (0.4, 2.05, 1.0), (3.6, 2.05, 1.0)  # 0.4 m beside the pillar, less the radius

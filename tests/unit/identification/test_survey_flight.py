@@ -15,12 +15,12 @@ from alula.stages.identification.steps import LEAN_RAD
 from alula.stages.identification.survey import make_survey
 from alula.stages.sim_vehicle.ardupilot import attitude
 from alula.stages.vehicles.velocity_lag import stop_time_s
-from support.autopilot_client import QUICK
-from support.flights import mission
-from support.lockstep import Flight, fault
-from support.responses import MEASURED
-from support.small_scenes import box_cover, line_plan
-from support.survey_flights import BOX, Px4Survey, SurveyFlight
+from support.flights.flights import mission
+from support.flights.survey_flights import BOX, Px4Survey, SurveyFlight
+from support.scenes.small_scenes import box_cover, line_plan
+from support.vehicles.autopilot_client import QUICK
+from support.vehicles.lockstep import Flight, fault
+from support.vehicles.responses import MEASURED
 
 
 def written(flight):

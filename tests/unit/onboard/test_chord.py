@@ -10,10 +10,10 @@ from scipy.optimize import linprog
 from alula import _core
 from alula.stages.compression.onboard.layout import encode_map
 from alula.stages.filtering.protocol import FilterStatus
-from support.covers import boxes_cover
 from support.effort import examples
-from support.fabricate import exact_hull, make_cover
-from support.maps import decode, half_spaces
+from support.scenes.covers import boxes_cover
+from support.scenes.fabricate import exact_hull, make_cover
+from support.scenes.maps import decode, half_spaces
 
 OK, FILTERED, SHORTENED, RECOVERING, REFUSED, _ = FilterStatus
 SLACK_M = 2e-3  # of planes that are moved outward, and of single precision

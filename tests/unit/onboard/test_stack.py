@@ -10,8 +10,8 @@ from scipy.optimize import linprog
 from alula import _core
 from alula.stages.compression.onboard.layout import encode_map
 from support.effort import examples
-from support.fabricate import exact_hull, make_cover
-from support.maps import decode, half_spaces
+from support.scenes.fabricate import exact_hull, make_cover
+from support.scenes.maps import decode, half_spaces
 
 G = 0.05  # edge of a voxel [m]
 OK, FILTERED, SHORTENED, RECOVERING, REFUSED = range(5)

@@ -7,7 +7,7 @@ from alula.schemas.errors import InputError
 from alula.schemas.parameters.configs.voxelize import VoxelizeConfig
 from alula.stages.compression.voxelize import voxelize
 from papers.polymerge.density_mesh import density_mesh, level_set, simplified
-from support.small_scenes import ball_scene
+from support.scenes.small_scenes import ball_scene
 
 
 def closed(triangle, corners):

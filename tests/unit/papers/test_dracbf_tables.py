@@ -11,7 +11,7 @@ from papers.dracbf import analysis as dracbf_analysis
 from papers.dracbf import figures as dracbf_figures
 from papers.dracbf import tables as dracbf
 from papers.published import DRACBF, DRACBF_PRINTED
-from support.encounter_runs import flown, met, row_of, trial
+from support.flights.encounter_runs import flown, met, row_of, trial
 
 FREE = flown(
     "scenario-1",

@@ -8,8 +8,8 @@ from papers.dracbf import verdicts as dracbf_verdicts
 from papers.dracbf import warning as dracbf_warning
 from papers.papers import DRACBF
 from papers.verdicts import verdict_table
-from support.claims import open_claims, said
-from support.encounter_runs import flown, met, row_of, trial
+from support.flights.claims import open_claims, said
+from support.flights.encounter_runs import flown, met, row_of, trial
 
 
 def rows_of(runs, times):

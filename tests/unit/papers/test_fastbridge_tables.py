@@ -11,7 +11,7 @@ from papers.fastbridge import figures as fastbridge_figures
 from papers.fastbridge import tables as fastbridge
 from papers.fastbridge.sweeps import Sweep, compare, succeeded
 from papers.fastbridge.tables import comparison_table, flight_tables, gap_table, ratio_table
-from support.sweeps import sweep, trial
+from support.flights.sweeps import sweep, trial
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ from papers.fastbridge.feasibility import feasibility_table
 from papers.fastbridge.verdicts import verdict_rows
 from papers.papers import FASTBRIDGE
 from papers.verdicts import verdict_table
-from support.claims import open_claims, said
-from support.sweeps import sweep, trial
+from support.flights.claims import open_claims, said
+from support.flights.sweeps import sweep, trial
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from alula.schemas.scenarios.scenario import read_scenario
 from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.vehicles.racer import racer_model, racer_options
 from papers.geofencing.ticks import read_ticks
-from support.fence_flights import STATUSES, fly_in
+from support.flights.fence_flights import STATUSES, fly_in
 from support.paths import ROOT
 
 EXAMPLE = ROOT / "examples" / "geofencing"

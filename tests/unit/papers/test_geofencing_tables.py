@@ -16,7 +16,7 @@ from papers.geofencing.ticks import Ticks
 from papers.geofencing.verdicts import paper_rows
 from papers.papers import GEOFENCING
 from papers.verdicts import verdict_table
-from support.claims import open_claims, said
+from support.flights.claims import open_claims, said
 
 
 def trial(index, least=0.5, *, speed=20.0, interventions=1, altered=0, **steps):

@@ -8,7 +8,7 @@ import pytest
 
 from papers.collected import collect
 from papers.page import papers_page
-from support.papers import PRODUCER, SVG, jerk_rows, record
+from support.flights.papers import PRODUCER, SVG, jerk_rows, record
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 pytestmark = [

@@ -18,7 +18,7 @@ from papers.markdown import papers_markdown
 from papers.page import papers_page, sentence
 from papers.papers import FASTBRIDGE, PAPERS
 from papers.record import Made, command_of, comparison_record
-from support.papers import PRODUCER, SVG, jerk_rows, record, value
+from support.flights.papers import PRODUCER, SVG, jerk_rows, record, value
 from support.paths import ROOT
 
 

@@ -16,7 +16,7 @@ from papers.polymerge.maps import (
     volumes_table,
 )
 from papers.polymerge.voxel_mesh import voxel_mesh
-from support.polymerge_maps import ROOM, TREE
+from support.scenes.polymerge_maps import ROOM, TREE
 
 
 def test_sizes_stand_beside_the_published_ones():

@@ -24,9 +24,9 @@ from papers.polymerge.flights import (
 )
 from papers.polymerge.verdicts import verdict_rows
 from papers.verdicts import verdict_table
-from support.claims import open_claims, said
-from support.polymerge_maps import OURS as OURS_MAP
-from support.polymerge_maps import ROOM, TREE
+from support.flights.claims import open_claims, said
+from support.scenes.polymerge_maps import OURS as OURS_MAP
+from support.scenes.polymerge_maps import ROOM, TREE
 
 
 def flights(method=OURS, *, hulls=300, good=10, close=0, n=10, path=2.0, us=1.0, steps=100, distance=0.2):

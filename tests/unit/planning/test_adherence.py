@@ -20,8 +20,8 @@ from alula.stages.planning.plan import plan, resolve_plan
 from alula.stages.planning.plan_samples import sample_plan
 from alula.stages.simulation.simulate import simulate_world
 from alula.stages.simulation.summary import world_summary
-from support.covers import boxes_cover
 from support.effort import examples
+from support.scenes.covers import boxes_cover
 
 WALLS = [(10, -30, 0, 12, -4, 20), (10, 4, 0, 12, 30, 20)]  # a door 0.8 m wide at x = 1, in cells of 0.1 m
 CONFIG = PlanConfig(

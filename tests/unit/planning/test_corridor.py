@@ -12,9 +12,9 @@ from alula._core import EllipsoidSet, check_cells, corridor_cells
 from alula.stages.clearance import hull_obstacles, path_clearance
 from alula.stages.compression.hulls import Hulls
 from alula.stages.planning.corridor import Kept, divided, find_corridor
-from support.chains import box_chain
-from support.covers import box_distance, boxes_cover, random_boxes
 from support.effort import examples
+from support.models.chains import box_chain
+from support.scenes.covers import box_distance, boxes_cover, random_boxes
 
 RADIUS = 0.2
 LOWER, UPPER = (-1.0, -1.0, -1.0), (4.0, 4.0, 4.0)

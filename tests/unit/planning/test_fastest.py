@@ -18,9 +18,9 @@ from alula.stages.planning.limits import LIMIT_SHARE, Limits, motion_limits
 from alula.stages.planning.opening import Opening
 from alula.stages.planning.trajectory import evaluate
 from alula.stages.vehicles.bodies import quadrotor
-from support.chains import box_chain, exact_derivatives
-from support.convex_core import Problem, minimum_scale, minimum_snap
 from support.effort import examples, some
+from support.models.chains import box_chain, exact_derivatives
+from support.models.convex_core import Problem, minimum_scale, minimum_snap
 
 CONFIG = PlanConfig(beyond_map_m=3.0, start=(0, 0, 0), goal=(1, 0, 0), speed_m_s=2.0)
 LIMITS = motion_limits(CONFIG, FASTBRIDGE)

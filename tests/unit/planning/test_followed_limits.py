@@ -12,8 +12,8 @@ from alula.stages.planning.limits import beyond_followed
 from alula.stages.planning.plan import plan, resolve_plan
 from alula.stages.vehicles.following import following_options, shaped_stop_s
 from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint, VelocitySetpoint
-from support.flights import BALL, mission
-from support.small_scenes import box_cover
+from support.flights.flights import BALL, mission
+from support.scenes.small_scenes import box_cover
 
 ROOM = box_cover([((0, 0, 0), (1, 1, 1))])
 SLOW = msgspec.structs.replace(FASTBRIDGE, velocities=VelocitiesTable(horizontal_lag=(1.0, 0.3)))

@@ -21,8 +21,8 @@ from alula.stages.planning.trajectory import evaluate
 from alula.stages.planning.verify import verify_plan
 from alula.stages.simulation.prepare import prepare
 from alula.stages.vehicles.bodies import quadrotor
-from support.covers import boxes_cover
 from support.effort import examples
+from support.scenes.covers import boxes_cover
 
 EMPTY = boxes_cover([])
 SQUARE = ((4.0, 0.0, 1.0), (4.0, 4.0, 1.0), (0.0, 4.0, 1.0), (0.0, 0.0, 1.0))

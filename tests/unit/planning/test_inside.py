@@ -13,8 +13,8 @@ from alula.stages.planning.inside import enclosed, inside_of
 from alula.stages.planning.plan import plan
 from alula.stages.planning.space import mapped_box, plan_space
 from alula.stages.simulation.simulate import simulate_world
-from support.covers import with_manifest
-from support.small_scenes import box_cover
+from support.scenes.covers import with_manifest
+from support.scenes.small_scenes import box_cover
 
 CONFIG = PlanConfig(radius_m=0.2)
 GROUND = ((-100, -100, -2), (100, 100, 0))  # in voxels of 0.1 m

@@ -17,8 +17,8 @@ from alula.stages.planning.exact import is_crossed
 from alula.stages.planning.joins import APART, LEAST_DURATION_S, faults_of_joins, require_motion
 from alula.stages.planning.plan import plan
 from alula.stages.planning.verify import verify_plan
-from support.covers import boxes_cover
-from support.flights import mission
+from support.flights.flights import mission
+from support.scenes.covers import boxes_cover
 
 FAR_WALL = [[100, 0, 0, 102, 14, 30], [-20, -20, -2, 60, 60, -1]]
 

@@ -14,8 +14,8 @@ from alula.stages.planning.plan import plan
 from alula.stages.planning.space import plan_space
 from alula.stages.planning.trajectory import evaluate
 from alula.stages.simulation.simulate import simulate_world
-from support.covers import with_manifest
-from support.small_scenes import box_cover
+from support.scenes.covers import with_manifest
+from support.scenes.small_scenes import box_cover
 
 # A room of 8 x 6 x 3 m within, of voxels of 0.1 m, with a wall across it that leaves a gap at the top.
 SHELL = [

@@ -18,7 +18,7 @@ from alula.stages.planning.plan import plan
 from alula.stages.planning.plan_samples import sample_plan
 from alula.stages.planning.trajectory import evaluate
 from alula.stages.planning.verify import verify_plan
-from support.covers import box_distance, boxes_cover
+from support.scenes.covers import box_distance, boxes_cover
 
 WALL = [[10, -30, 0, 12, -4, 20], [10, 4, 0, 12, 30, 20]]  # a door 0.8 m wide at x = 1, in cells of 0.1 m
 CONFIG = PlanConfig(

@@ -10,7 +10,7 @@ from alula.stages.reconstruction.demo_cameras import demo_cameras
 from alula.stages.reconstruction.demo_scene import world_from_scene
 from alula.stages.reconstruction.room import SIZE
 from alula.stages.rotation import matrix_from_quat_wxyz
-from support.room_oracle import Room
+from support.models.room_oracle import Room
 
 HALF = np.array([1280, 720]) / 2 / 720  # of the image, as x/z and y/z
 

@@ -24,10 +24,10 @@ from alula.stages.planning.plan import plan
 from alula.stages.planning.space import plan_space
 from alula.stages.planning.trajectory import evaluate
 from alula.stages.planning.verify import verify_plan
-from support.clearances import clearance_to_hulls
-from support.covers import box_distance, boxes_cover, random_boxes
 from support.effort import examples
-from support.septic_splines import septic_spline
+from support.models.clearances import clearance_to_hulls
+from support.models.septic_splines import septic_spline
+from support.scenes.covers import box_distance, boxes_cover, random_boxes
 
 WALL_WITH_HOLE = [
     [10, 0, 0, 12, 30, 8],

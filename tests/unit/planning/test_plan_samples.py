@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from alula.stages.planning.plan_samples import sample_plan
-from support.small_scenes import line_plan
+from support.scenes.small_scenes import line_plan
 
 
 def test_plan_samples_are_the_polynomials():

@@ -22,8 +22,8 @@ from alula.stages.planning.path import find_polyline
 from alula.stages.planning.plan import plan
 from alula.stages.planning.space import PlanSpace, plan_space
 from alula.stages.planning.trajectory import evaluate
-from support.covers import SIZE_M, boxes_cover
-from support.septic_splines import septic_spline
+from support.models.septic_splines import septic_spline
+from support.scenes.covers import SIZE_M, boxes_cover
 
 BOX = (0.0, 0.0, 0.0, 3.0, 3.0, 3.0)
 

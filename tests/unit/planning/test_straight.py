@@ -19,8 +19,8 @@ from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.planning.straight import PEAKS, straight_duration
 from alula.stages.planning.trajectory import evaluate
 from alula.stages.planning.verify import verify_plan
-from support.flights import mission
-from support.small_scenes import box_cover
+from support.flights.flights import mission
+from support.scenes.small_scenes import box_cover
 
 BOX = box_cover([((18, 14, 0), (22, 30, 20))])
 THROUGH = {"start": (0.3, 2.0, 1.0), "goal": (3.7, 2.0, 1.0), "straight": True}

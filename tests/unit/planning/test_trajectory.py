@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from alula.schemas.errors import InputError
 from alula.stages.planning.trajectory import control_points, evaluate, peak_bounds, subdivided
 from support.effort import examples
-from support.septic_splines import allocate_times, septic_spline
+from support.models.septic_splines import allocate_times, septic_spline
 
 
 def walk(seed, count=7, step=1.0):

@@ -15,8 +15,8 @@ from alula.schemas.parameters.configs.plan import PlanConfig
 from alula.stages.planning.plan import plan
 from alula.stages.planning.verify import verify_plan
 from alula.stages.show.viewing.corridor import corridor_mesh
-from support.covers import box_distance, boxes_cover
-from support.small_scenes import ball_scene
+from support.scenes.covers import box_distance, boxes_cover
+from support.scenes.small_scenes import ball_scene
 
 BOXES = [[10, 0, 0, 12, 14, 30], [18, 6, 0, 20, 30, 30]]
 CONFIG = PlanConfig(

@@ -14,7 +14,16 @@ from alula.stages.reconstruction.formats.checkpoint import Checkpoint, is_checkp
 from alula.stages.reconstruction.formats.registry import SplatFile, read_splats
 from alula.stages.reconstruction.formats.torch_pickle import unpickled
 from support.effort import examples
-from support.torch_files import Called, Reference, Saved, TorchPickler, functions, parameters, saved, trained
+from support.files.torch_files import (
+    Called,
+    Reference,
+    Saved,
+    TorchPickler,
+    functions,
+    parameters,
+    saved,
+    trained,
+)
 
 CALLS = []
 

@@ -12,7 +12,7 @@ from alula.stages.reconstruction.formats.compressed_ply import decode_compressed
 from alula.stages.reconstruction.formats.registry import read_splats
 from alula.stages.reconstruction.formats.splats import SH_C0, color_from_sh0
 from support.effort import examples
-from support.originals import fractions, originals
+from support.files.originals import fractions, originals
 
 AXES = ("x", "y", "z")
 RANGES = [f"{end}_{kind}{axis}" for kind in ("", "scale_") for end in ("min", "max") for axis in AXES]

@@ -14,7 +14,7 @@ from alula.cli.main import run
 from alula.schemas.errors import ArtifactError
 from alula.stages.reconstruction.formats.registry import read_splats
 from alula.stages.reconstruction.formats.splat import RECORD
-from support import splat_files
+from support.files import splat_files
 
 
 def zipped(names):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from support.fuzz_splats import fuzz
+from support.fuzz.fuzz_splats import fuzz
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from alula.stages.reconstruction.formats.registry import SplatFile, read_splats
 from alula.stages.reconstruction.formats.splats import color_from_sh0
 from alula.stages.reconstruction.import_splat import turned
 from alula.stages.rotation import matrix_from_quat_wxyz
-from support.gltf_files import KHR, Writer, angles, gaussians, simple
+from support.files.gltf_files import KHR, Writer, angles, gaussians, simple
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from alula.stages.compression.voxelize import voxelize
 from alula.stages.reconstruction.formats.registry import read_splats
 from alula.stages.reconstruction.import_splat import import_splat
 from alula.stages.rotation import matrix_from_quat_wxyz, multiply_quat_wxyz
-from support.gltf_files import CODES, ROUNDINGS, Writer, angles, gaussians
+from support.files.gltf_files import CODES, ROUNDINGS, Writer, angles, gaussians
 
 
 @pytest.fixture

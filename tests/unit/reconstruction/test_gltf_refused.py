@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from alula.schemas.errors import AlulaError, ArtifactError
 from alula.stages.reconstruction.formats.registry import SplatFile, read_splats
 from support.effort import examples
-from support.gltf_files import KHR, gaussians, simple
+from support.files.gltf_files import KHR, gaussians, simple
 
 
 @pytest.fixture

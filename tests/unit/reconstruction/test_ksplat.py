@@ -16,7 +16,7 @@ from alula.stages.reconstruction.formats.registry import read_splats
 from alula.stages.reconstruction.formats.splats import color_from_sh0
 from alula.stages.reconstruction.import_splat import import_splat
 from support.effort import examples
-from support.originals import fractions, originals
+from support.files.originals import fractions, originals
 
 BLOCK, RANGE = 5.0, 32767
 

@@ -18,7 +18,7 @@ from alula.stages.reconstruction.look import (
     up_of,
     up_of_cameras,
 )
-from support import splat_files
+from support.files import splat_files
 
 AXES = {
     "+x": (1, 0, 0),

@@ -13,7 +13,7 @@ from alula.schemas.errors import ArtifactError
 from alula.stages.reconstruction.formats.ply import encode_ply
 from alula.stages.reconstruction.formats.registry import SplatFile, read_splats
 from alula.stages.reconstruction.formats.splats import color_from_sh0
-from support.torch_files import Saved, parameters, saved, trained
+from support.files.torch_files import Saved, parameters, saved, trained
 
 CONFIG = """!!python/object:nerfstudio.engine.trainer.TrainerConfig
 _target: !!python/name:nerfstudio.engine.trainer.Trainer ''

@@ -20,8 +20,8 @@ from alula.stages.reconstruction.formats.ply import decode_ply
 from alula.stages.reconstruction.formats.properties import ELEMENTS, FILES, KNOWN, Effect, filtered, judged
 from alula.stages.reconstruction.formats.registry import read_splats
 from alula.stages.reconstruction.import_splat import import_splat
-from support import splat_files, spz_files
 from support.effort import examples
+from support.files import splat_files, spz_files
 
 PAGE = Path(__file__).parents[3] / "docs/guide/splat-formats.md"
 DATA = os.environ.get("ALULA_DATA")

@@ -15,8 +15,8 @@ from alula.schemas.artifacts.artifact import read_artifact
 from alula.stages.reconstruction.formats.registry import SplatFile, read_splats
 from alula.stages.reconstruction.formats.sog import OPACITY_LOSS
 from alula.stages.reconstruction.formats.splats import color_from_sh0
-from support.originals import angles, fractions, originals
-from support.sog_encoder import ROUNDINGS, bundle, changed, encode, folder, webp
+from support.files.originals import angles, fractions, originals
+from support.files.sog_encoder import ROUNDINGS, bundle, changed, encode, folder, webp
 
 
 @pytest.mark.parametrize("rounding", ROUNDINGS)

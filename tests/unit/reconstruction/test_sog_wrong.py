@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from alula.schemas.errors import AlulaError, ArtifactError
 from alula.stages.reconstruction.formats.registry import read_splats
 from support.effort import examples
-from support.originals import originals
-from support.sog_encoder import bundle, changed, encode, folder, webp
+from support.files.originals import originals
+from support.files.sog_encoder import bundle, changed, encode, folder, webp
 
 
 def noise(width, height=1):

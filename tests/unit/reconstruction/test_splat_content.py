@@ -11,8 +11,8 @@ from alula.schemas.errors import ArtifactError
 from alula.stages.reconstruction.formats.registry import read_splats
 from alula.stages.reconstruction.formats.splat import RECORD
 from alula.stages.reconstruction.formats.splat_content import LEAST, has_plausible_records
-from support import splat_files
 from support.effort import examples
+from support.files import splat_files
 
 WRITERS = {
     "truncated, middle 128": lambda q: np.clip(q * 128 + 128, 0, 255),

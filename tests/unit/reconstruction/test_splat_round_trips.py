@@ -12,7 +12,7 @@ from alula.stages.compression.voxelize import voxelize
 from alula.stages.reconstruction.formats.registry import SplatFile
 from alula.stages.reconstruction.formats.splats import Splats
 from alula.stages.reconstruction.import_splat import import_splat
-from support.splat_files import ENCODERS, main_file, some_gaussians
+from support.files.splat_files import ENCODERS, main_file, some_gaussians
 
 LOSSLESS = {"ply", "ply ascii", "ply big-endian", "glb", "gltf", "nerfstudio", "json", "ksplat 0"}
 

@@ -13,7 +13,7 @@ from alula.stages.reconstruction.formats.registry import read_splats
 from alula.stages.reconstruction.formats.splats import SH_C0
 from alula.stages.reconstruction.formats.spz import decode_spz, encode_spz
 from alula.stages.reconstruction.import_splat import turned
-from support.spz_files import (
+from support.files.spz_files import (
     agrees,
     arrays_of,
     data,

@@ -14,7 +14,7 @@ from alula.schemas.errors import AlulaError, ArtifactError
 from alula.stages.reconstruction.formats.registry import read_splats
 from alula.stages.reconstruction.formats.splats import SH_C0
 from support.effort import examples
-from support.spz_files import (
+from support.files.spz_files import (
     ORDER,
     arrays_of,
     data,

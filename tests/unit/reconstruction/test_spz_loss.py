@@ -11,7 +11,7 @@ from alula.schemas.errors import InputError
 from alula.stages.reconstruction.formats.splat import decode_splat, encode_splat
 from alula.stages.reconstruction.formats.spz import encode_spz
 from support.effort import examples
-from support.spz_files import (
+from support.files.spz_files import (
     arrays_of,
     differences,
     file_of,

@@ -10,9 +10,9 @@ from alula.schemas.artifacts.artifact import read_artifact
 from alula.schemas.errors import ArtifactError, UsageError
 from alula.stages.reconstruction.formats.registry import SplatFile, read_splats
 from alula.stages.reconstruction.pieces import find_splats
-from support.originals import originals
-from support.sog_encoder import bundle, encode, folder
-from support.splat_files import some_gaussians, splat
+from support.files.originals import originals
+from support.files.sog_encoder import bundle, encode, folder
+from support.files.splat_files import some_gaussians, splat
 
 COLUMNS = ("mean", "scale", "quat_wxyz", "opacity", "color")
 CENTRES = (-6.0, 0.0, 6.0)  # x of the three parts of level 0

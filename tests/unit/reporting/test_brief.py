@@ -7,7 +7,7 @@ from alula.schemas.artifacts.manifest import Guarantee, InputRef
 from alula.schemas.parameters.flight_defaults import NO_FILTER
 from alula.stages.reporting.brief import brief
 from alula.stages.reporting.material import Material, Run
-from support.fabricate import box, make_cover, make_plan, make_record, make_trial
+from support.scenes.fabricate import box, make_cover, make_plan, make_record, make_trial
 
 SAFE = [make_trial(i, clearance=0.5 - 0.1 * i) for i in range(3)]
 STUCK = make_trial(3, "stuck", clearance=0.1)

@@ -12,7 +12,7 @@ from alula.stages.reporting.differences import difference_tables, difference_wor
 from alula.stages.reporting.headline import headline
 from alula.stages.reporting.material import Material, Run
 from alula.stages.reporting.statistics import rate_difference, sign_test, two_sample_estimate
-from support.fabricate import make_record, make_trial
+from support.scenes.fabricate import make_record, make_trial
 
 GOAL_M = [20.0, 1.0, 1.0]
 COLUMNS = ("name", "first", "second", "difference", "low", "high", "n", "higher", "lower", "p")

@@ -17,9 +17,9 @@ from alula.stages.reporting.headline import headline
 from alula.stages.reporting.material import NOT_JUDGED, Material, Run
 from alula.stages.reporting.tables import all_tables, course_rows, course_tables
 from alula.stages.show.still import draw
-from support.fabricate import make_record, make_trial
-from support.flight_logs import head_of, record_of
-from support.flights import fly, mission
+from support.flights.flight_logs import head_of, record_of
+from support.flights.flights import fly, mission
+from support.scenes.fabricate import make_record, make_trial
 
 COURSE = Course(
     (

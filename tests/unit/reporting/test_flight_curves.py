@@ -14,7 +14,7 @@ from alula.stages.reporting.flight_curves import worst_flights
 from alula.stages.reporting.flight_figures import flight_figures
 from alula.stages.reporting.material import Material, Run
 from alula.stages.reporting.palette import variables
-from support.fabricate import box, make_cover, make_record, make_trial
+from support.scenes.fabricate import box, make_cover, make_record, make_trial
 
 COVER = make_cover([box((20, -20, 0), (40, 20, 40))])  # a block from x = 1 m to 2 m
 PARAMETERS = {"vehicle": {"radius_m": 0.1, "max_speed_m_s": 2.0}, "safety": {}}

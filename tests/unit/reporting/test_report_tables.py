@@ -26,7 +26,7 @@ from alula.stages.reporting.tables import (
     runs_table,
     to_csv,
 )
-from support.fabricate import box, make_cover, make_plan, make_record, make_scene, make_trial
+from support.scenes.fabricate import box, make_cover, make_plan, make_record, make_scene, make_trial
 
 TRIALS = [
     make_trial(0, clearance=0.25),

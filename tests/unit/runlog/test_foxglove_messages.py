@@ -13,15 +13,15 @@ from alula.stages.flight.recorder.samples import LineSample, StepSample
 from alula.stages.runlog import cloud
 from alula.stages.runlog.maps import world_message
 from alula.stages.runlog.messages import obstacle_message, verdict_message
-from support.fabricate import make_scene
-from support.flight_logs import head_of, sample
-from support.flights import mission
+from support.flights.flight_logs import head_of, sample
+from support.flights.flights import mission
+from support.scenes.fabricate import make_scene
 
 pytest.importorskip("foxglove", reason="foxglove-sdk is needed: pip install 'alula[foxglove]'")
 pytest.importorskip("rosbags", reason="rosbags is needed: pip install 'alula[ros2]'")
 from rosbags.typesys import Stores, get_typestore
 
-from support.foxglove_messages import encoded
+from support.files.foxglove_messages import encoded
 
 START = 1_777_636_800_123_456_000  # 2026-05-01T12:00:00.123456Z
 BOX = np.column_stack([np.vstack([np.eye(3), -np.eye(3)]), [4.0] * 6])

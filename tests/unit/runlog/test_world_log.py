@@ -13,8 +13,8 @@ from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.runlog.world import write_world_log
 from alula.stages.simulation.simulate import prepare
-from support.fabricate import make_scene
-from support.world_runs import flown, scenario_of
+from support.flights.world_runs import flown, scenario_of
+from support.scenes.fabricate import make_scene
 
 FIELD = make_scene(60, low=(0, 0, 0), high=(6, 4, 3))
 KEYS = {"trials": 1, "speed_m_s": 3.0, "log_rate_hz": 25.0, "which": "blocked"}

@@ -17,7 +17,7 @@ from alula.stages.export.ros_messages import RosMessages
 from alula.stages.flight.recorder import samples
 from alula.stages.runlog.messages import rounded
 from alula.stages.runlog.writer import LogWriter
-from support.flight_logs import sample
+from support.flights.flight_logs import sample
 from support.paths import ROOT
 
 

@@ -7,7 +7,7 @@ import pytest
 from alula.schemas.artifacts.contents import FenceSummary, check
 from alula.stages.reporting.fenced import fence_rows
 from alula.stages.reporting.inspect import manifest_facts
-from support.fabricate import make_trial
+from support.scenes.fabricate import make_trial
 
 FENCE = {
     **{"min_distance_m": 0.5, "violations": 0, "passed": 3},

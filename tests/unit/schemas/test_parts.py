@@ -23,7 +23,7 @@ from alula.schemas.artifacts.parts_output import (
 )
 from alula.schemas.artifacts.provenance import read_provenance
 from support.effort import examples
-from support.parted import provenance_of, scene_of, voxels_of, write_parts
+from support.scenes.parted import provenance_of, scene_of, voxels_of, write_parts
 
 TWO = ([[0, 0, 0], [1, 0, 0]], [[10, 0, 0]])
 

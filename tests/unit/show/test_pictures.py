@@ -18,8 +18,8 @@ from alula.stages.show.viewing.actors import ACTS_COLOR, moment, pose_at
 from alula.stages.show.viewing.compose import Shown, content_of
 from alula.stages.show.viewing.film import film, still
 from alula.stages.show.viewing.follow import sights
-from support.fabricate import box, make_cover, make_scene, make_trial
-from support.viewed_runs import run_of
+from support.flights.viewed_runs import run_of
+from support.scenes.fabricate import box, make_cover, make_scene, make_trial
 
 UP = np.array([0.0, 0.0, 1.0])
 SIZE = (96, 64)

@@ -7,7 +7,7 @@ from alula.stages.reporting.fenced import FenceShape
 from alula.stages.reporting.material import Material, Run
 from alula.stages.reporting.palette import BLUE, ORANGE, VERMILLION, run_color, themed
 from alula.stages.show.still import faces_near, still
-from support.fabricate import box, make_cover, make_plan, make_record, make_scene, make_trial
+from support.scenes.fabricate import box, make_cover, make_plan, make_record, make_scene, make_trial
 
 FLOOR, CEILING = box((0, 0, 0), (100, 100, 1)), box((0, 0, 59), (100, 100, 60))
 FAR, NEAR = box((0, 0, 1), (1, 100, 59)), box((99, 0, 1), (100, 100, 59))

@@ -14,8 +14,8 @@ from alula.stages.rotation import matrix_from_quat_wxyz
 from alula.stages.show.viewing.compose import Shown, content_of
 from alula.stages.show.viewing.draw import record
 from alula.stages.show.viewing.page import recording
-from support.fabricate import box, make_cover, make_plan, make_record, make_scene, make_trial
-from support.viewed_runs import flight, run_of
+from support.flights.viewed_runs import flight, run_of
+from support.scenes.fabricate import box, make_cover, make_plan, make_record, make_scene, make_trial
 
 BOXES = make_cover([box((0, 0, 0), (10, 10, 10)), box((20, 0, 0), (30, 5, 2))])
 N = 51

@@ -21,7 +21,8 @@ from alula.stages.show.viewing.cut import find_cut
 from alula.stages.show.viewing.flown import body_of, play_of, worst_first
 from alula.stages.show.viewing.nearest import solid_obstacles, to_balls, to_faces, to_obstacles
 from alula.stages.show.viewing.shapes import ball_mesh, disc_mesh, frame_mesh, rotors_of
-from support.fabricate import (
+from support.flights.viewed_runs import flight, run_of
+from support.scenes.fabricate import (
     box,
     exact_hull,
     make_cover,
@@ -31,7 +32,6 @@ from support.fabricate import (
     make_trial,
     make_voxels,
 )
-from support.viewed_runs import flight, run_of
 
 BOXES = make_cover([box((0, 0, 0), (10, 10, 10)), box((20, 0, 0), (30, 5, 2))])
 

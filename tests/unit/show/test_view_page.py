@@ -19,8 +19,8 @@ from alula.stages.show.viewing.draw import GAP_S, Span
 from alula.stages.show.viewing.light import fewer
 from alula.stages.show.viewing.page import page, within
 from alula.stages.show.viewing.plots import flight_data
-from support.fabricate import box, make_cover, make_scene, make_trial
-from support.viewed_runs import run_of
+from support.flights.viewed_runs import run_of
+from support.scenes.fabricate import box, make_cover, make_scene, make_trial
 
 
 def facts(text):

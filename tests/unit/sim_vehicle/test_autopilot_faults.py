@@ -12,7 +12,7 @@ from alula.stages.sim_vehicle.common.faults import KINDS, Fault, parse_fault
 from alula.stages.sim_vehicle.common.packets import mavlink
 from alula.stages.sim_vehicle.common.quaternions import to_euler
 from alula.stages.sim_vehicle.px4.vehicle import Px4Copter
-from support.autopilot_client import EXACT, Client, of
+from support.vehicles.autopilot_client import EXACT, Client, of
 
 
 def streaming(*faults, seed=1):

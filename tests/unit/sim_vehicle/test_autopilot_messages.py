@@ -11,8 +11,8 @@ from alula.schemas.errors import UsageError
 from alula.stages.sim_vehicle.ardupilot.parameters import TABLE
 from alula.stages.sim_vehicle.common.packets import mavlink
 from alula.stages.sim_vehicle.common.parameters import Parameters
-from support.autopilot_client import EXACT, GUIDED, Client, of
 from support.effort import examples
+from support.vehicles.autopilot_client import EXACT, GUIDED, Client, of
 
 KEY = bytes(range(32))
 

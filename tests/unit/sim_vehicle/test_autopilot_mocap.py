@@ -8,7 +8,7 @@ from alula.stages.sim_vehicle.ardupilot.modes import Mode
 from alula.stages.sim_vehicle.common import quaternions
 from alula.stages.sim_vehicle.common.estimator import NO_POSITION, SETTLED, EstimatorOptions
 from alula.stages.sim_vehicle.common.packets import mavlink
-from support.autopilot_client import EXACT, GUIDED, Client
+from support.vehicles.autopilot_client import EXACT, GUIDED, Client
 
 ACCEPTED, FAILED = 0, 4
 MOCAP = {

@@ -5,8 +5,8 @@ import pytest
 from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.sim_vehicle.ardupilot.copter import ArduCopter
 from alula.stages.sim_vehicle.simulator import SimulatedVehicle
-from support.autopilot_client import EXACT
-from support.responses import ANSWERS, MEASURED, Measurer, Stepped, measure
+from support.vehicles.autopilot_client import EXACT
+from support.vehicles.responses import ANSWERS, MEASURED, Measurer, Stepped, measure
 
 
 def measurer(**options):

@@ -6,7 +6,7 @@ import pytest
 
 from alula.stages.sim_vehicle.ardupilot.guided import Sub
 from alula.stages.sim_vehicle.common.quaternions import from_euler
-from support.autopilot_client import EXACT, GUIDED, NOGPS, Client
+from support.vehicles.autopilot_client import EXACT, GUIDED, NOGPS, Client
 
 THRUST = {"GUID_OPTIONS": 8}
 LEVEL_THRUST = {"GUID_OPTIONS": 8, "ATC_ANGLE_BOOST": 0}

@@ -16,7 +16,7 @@ from alula.stages.sim_vehicle.common import quaternions
 from alula.stages.sim_vehicle.common.estimator import NO_POSITION, SETTLED, EstimatorOptions
 from alula.stages.sim_vehicle.common.faults import Fault
 from alula.stages.sim_vehicle.common.packets import mavlink
-from support.autopilot_client import GUIDED, LAND, LOITER, NOGPS, QUICK, Client
+from support.vehicles.autopilot_client import GUIDED, LAND, LOITER, NOGPS, QUICK, Client
 
 ACCEPTED, FAILED = 0, 4
 

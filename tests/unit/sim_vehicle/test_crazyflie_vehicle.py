@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from alula.stages.sim_vehicle.crazyflie.planner import Goal, Plan, Planner
 from alula.stages.sim_vehicle.crazyflie.supervisor import Stage
 from alula.stages.vehicles.packed_attitude import compress_quat_wxyz, expand_quat_wxyz
-from support.crazyflie_rehearsal import ARM, DISARM, Rehearsal, packet, take_off, velocity
 from support.effort import examples
+from support.vehicles.crazyflie_rehearsal import ARM, DISARM, Rehearsal, packet, take_off, velocity
 
 IDENTITY = compress_quat_wxyz((1.0, 0.0, 0.0, 0.0))
 

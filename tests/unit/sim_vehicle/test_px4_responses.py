@@ -6,8 +6,8 @@ from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.sim_vehicle.px4.vehicle import Px4Copter
 from alula.stages.sim_vehicle.simulator import SimulatedVehicle
 from support.paths import VEHICLES
-from support.px4_responses import MEASURED, measure
-from support.responses import Stepped
+from support.vehicles.px4_responses import MEASURED, measure
+from support.vehicles.responses import Stepped
 
 
 @pytest.mark.slow

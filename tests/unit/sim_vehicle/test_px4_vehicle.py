@@ -11,8 +11,8 @@ from alula.stages.sim_vehicle.common.faults import Fault
 from alula.stages.sim_vehicle.common.packets import mavlink as m
 from alula.stages.sim_vehicle.px4.modes import Px4Mode
 from alula.stages.sim_vehicle.px4.vehicle import ZURICH, Px4Copter
-from support.autopilot_client import Client
 from support.paths import VEHICLES
+from support.vehicles.autopilot_client import Client
 
 REFUSED, ACCEPTED = m.MAV_RESULT_TEMPORARILY_REJECTED, m.MAV_RESULT_ACCEPTED
 VELOCITY, STOP = 0x9C7, 0xDC7

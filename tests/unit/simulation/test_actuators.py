@@ -7,8 +7,8 @@ from alula import _core
 from alula.stages.filtering import registry
 from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.planning.rest_to_rest import rest_to_rest
-from support.reference_flights import BODY, GAINS, along, vehicle_of
-from support.wrench_flight import (
+from support.flights.reference_flights import BODY, GAINS, along, vehicle_of
+from support.models.wrench_flight import (
     RADIUS,
     Scene,
     admissible_start,

@@ -21,9 +21,9 @@ from alula.stages.simulation.pairs import Pairs
 from alula.stages.simulation.prepare import prepare
 from alula.stages.simulation.simulate import simulate_world
 from alula.stages.simulation.summary import world_guarantee, world_summary, world_words
-from support.foreign_filters import provide
-from support.small_scenes import ball_scene, box_cover, line_plan
-from support.world_runs import set_value
+from support.flights.foreign_filters import provide
+from support.flights.world_runs import set_value
+from support.scenes.small_scenes import ball_scene, box_cover, line_plan
 
 TWO_BLOCKS = [((10, 10, 0), (14, 30, 20)), ((24, 0, 0), (28, 20, 20))]
 ROOM = (0.0, 0.0, 0.0, 4.0, 4.0, 2.0)

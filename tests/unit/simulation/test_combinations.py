@@ -4,8 +4,8 @@ import collections
 
 import pytest
 
-from support.combinations import VEHICLES, cases, files, tried
 from support.effort import some
+from support.flights.combinations import VEHICLES, cases, files, tried
 
 _COMMANDED = [(name, interface) for name, interfaces in VEHICLES.items() for interface in interfaces]
 

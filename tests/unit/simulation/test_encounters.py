@@ -28,7 +28,7 @@ from alula.stages.verdict import wilson_interval
 from alula.stages.world.obstacles import static_walls
 from support.clusters import Cluster
 from support.effort import examples
-from support.paths import EXAMPLES
+from support.paths import EXAMPLES, SUPPORT
 
 AHEAD = {"motion": "accelerating", "distance_m": 30.0, "acceleration_m_s2": (0.2, 0.8)}
 ASIDE = {
@@ -359,7 +359,7 @@ def test_nothing_is_promised_of_a_filter_that_goes_by_tracks():
     assert (found.claims["trials"], found.claims["collisions"]) == (4, hits)
 
 
-STORED = json.loads((Path(__file__).parents[2] / "support" / "vectors_encounters.json").read_text())
+STORED = json.loads((SUPPORT / "vectors_encounters.json").read_text())
 
 
 @pytest.mark.every(2)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from alula import _core
-from support import racer_model as model
-from support.fence_flights import fly_in
+from support.flights.fence_flights import fly_in
+from support.models import racer_model as model
 
 WALL = ((-100.0, -100.0, 0.0), (40.0, 100.0, 100.0))
 GROUND = ((-100.0, -100.0, 0.5), (100.0, 100.0, 200.0))

@@ -1,7 +1,6 @@
 """The native loop of flights: values of an older loop, numpy, steps as on board, losses, refused commands."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,14 +20,14 @@ from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
 from alula.stages.vehicles.racer import racer_model
 from alula.stages.world.moving import moving_spec
-from support import fabricate
-from support.fabricate import make_scene
-from support.quadrotor_model import E3, body_to_inertial
-from support.small_scenes import box_cover
+from support.models.quadrotor_model import E3, body_to_inertial
+from support.paths import SUPPORT
+from support.scenes.fabricate import make_scene
+from support.scenes.small_scenes import box_cover
 
 BODY, GAINS = quadrotor(FASTBRIDGE), tracking_gains(FASTBRIDGE)
 MASS, GRAVITY = FASTBRIDGE.body.mass_kg, FASTBRIDGE.body.gravity_m_s2
-OLDER = json.loads(Path(fabricate.__file__).with_name("vectors_older_flights.json").read_text())
+OLDER = json.loads((SUPPORT / "vectors_older_flights.json").read_text())
 INDEX = ellipsoid_index(make_scene(60, low=(0, 0, 0), high=(6, 4, 3)), 1.0, 0.15)
 CURVE = _core.ReferenceCurve(*rest_to_rest((0, 0, 1), (6, 4, 1.5), 1.5, yaw_rad=0.4))
 EXACT, IDEAL = _core.PlantOptions(), _core.ActuatorModel()

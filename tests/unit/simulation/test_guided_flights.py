@@ -11,10 +11,10 @@ from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS, paramete
 from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
-from support.fabricate import make_scene
-from support.foreign_filters import Passing, Wrapped
-from support.reference_flights import along, vehicle_of
-from support.world_runs import IDEAL_POINT, flown
+from support.flights.foreign_filters import Passing, Wrapped
+from support.flights.reference_flights import along, vehicle_of
+from support.flights.world_runs import IDEAL_POINT, flown
+from support.scenes.fabricate import make_scene
 
 BODY, GAINS = quadrotor(FASTBRIDGE), tracking_gains(FASTBRIDGE, 1.0)
 FIELD = make_scene(60, low=(0, 0, 0), high=(6, 4, 3))

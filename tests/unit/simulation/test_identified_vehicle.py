@@ -25,7 +25,7 @@ from alula.stages.vehicles.following import following_options, shaped_stop_s, sh
 from alula.stages.vehicles.velocity_lag import filter_lags_s, stop_time_s
 from alula.stages.world.vehicle import velocity_lags_s
 from support.paths import VEHICLES
-from support.small_scenes import box_cover
+from support.scenes.small_scenes import box_cover
 
 COPTER = read_vehicle(VEHICLES / "arducopter.toml")
 MEASURED = msgspec.structs.replace(

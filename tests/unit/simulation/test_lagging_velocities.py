@@ -8,7 +8,7 @@ from alula.schemas.scenarios.scenario import decoded
 from alula.schemas.scenarios.vehicles import VEHICLES
 from alula.stages.simulation.judge import hits_static
 from alula.stages.simulation.simulate import simulate_world
-from support.small_scenes import box_cover
+from support.scenes.small_scenes import box_cover
 
 WALL = box_cover([((20, 0, 0), (23, 40, 30))])  # in front of the goal, x from 2.0 to 2.3 m
 

@@ -13,9 +13,9 @@ from alula.schemas.scenarios.scenario import Scenario, decoded
 from alula.schemas.scenarios.vehicle import FASTBRIDGE, AssumedTable, DisturbanceTable
 from alula.stages.simulation.left_out import COARSE, DIFFERENCES, INTERFACE, left_out
 from alula.stages.simulation.prepare import prepare
-from support.quadrotor_model import derivative, fastbridge
-from support.small_scenes import box_cover
-from support.world_runs import set_value
+from support.flights.world_runs import set_value
+from support.models.quadrotor_model import derivative, fastbridge
+from support.scenes.small_scenes import box_cover
 
 BODY = fastbridge()
 WALL = box_cover([((15, -20, 0), (18, 20, 30))])

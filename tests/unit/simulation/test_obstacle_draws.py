@@ -10,7 +10,16 @@ from scipy.stats import kstest
 
 from alula._core import ObstacleSpec, TrackingGains, meeting_time
 from support.effort import examples
-from support.moving_worlds import DT, HARDWARE, SCENARIO_1, SCENARIO_2, angles, closing, paths, vehicle_path
+from support.flights.moving_worlds import (
+    DT,
+    HARDWARE,
+    SCENARIO_1,
+    SCENARIO_2,
+    angles,
+    closing,
+    paths,
+    vehicle_path,
+)
 
 
 def drawn(table, vehicle, trials, **where):

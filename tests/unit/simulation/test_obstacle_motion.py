@@ -11,8 +11,8 @@ from scipy.optimize import brentq
 
 from alula._core import TrackingGains
 from support.effort import examples
-from support.moving_worlds import DT, SCENARIO_1, angles, closing, paths, vehicle_path
-from support.quadrotor_model import fastbridge
+from support.flights.moving_worlds import DT, SCENARIO_1, angles, closing, paths, vehicle_path
+from support.models.quadrotor_model import fastbridge
 
 GRAVITY = np.array([0, 0, -9.81])
 STILL = {"is_relative": False, "position": (30.0, 5.0, 12.0)}

@@ -5,7 +5,7 @@ import pytest
 
 from alula.stages.compression.hulls import Hulls
 from alula.stages.simulation.pairs import central_box, sample_pairs
-from support.small_scenes import box_cover
+from support.scenes.small_scenes import box_cover
 
 
 def test_pairs_are_clear_apart_uniform_and_counted():

@@ -23,8 +23,8 @@ from alula.stages.simulation.prepare import prepare
 from alula.stages.simulation.result import WorldFlight
 from alula.stages.simulation.simulate import chunk_size
 from alula.stages.simulation.summary import world_guarantee, world_summary, world_timing
-from support.fence_flights import STATUSES
-from support.piloted_runs import RACER, fly, scenario
+from support.flights.fence_flights import STATUSES
+from support.flights.piloted_runs import RACER, fly, scenario
 
 
 @pytest.fixture(scope="module")

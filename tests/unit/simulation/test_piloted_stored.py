@@ -8,9 +8,9 @@ import pytest
 from alula.schemas.scenarios.scenario import read_scenario
 from alula.stages.simulation.prepare import prepare
 from alula.stages.verdict import FENCED, clearance_of
+from support.flights.piloted_runs import RACER, TICK_S
 from support.paths import EXAMPLES
-from support.piloted_runs import RACER, TICK_S
-from support.small_scenes import box_cover
+from support.scenes.small_scenes import box_cover
 
 EXAMPLE = EXAMPLES / "geofencing"
 

@@ -12,9 +12,9 @@ from alula.schemas.parameters.filter_options import GeofenceParameters
 from alula.stages.simulation.prepare import prepare
 from alula.stages.simulation.summary import world_guarantee, world_summary
 from alula.stages.vehicles.racer import racer_model
-from support.fence_flights import fly_in
-from support.piloted_runs import BOX, RACER, STARTS, TICK_S, fly, scenario
-from support.small_scenes import ball_scene, box_cover
+from support.flights.fence_flights import fly_in
+from support.flights.piloted_runs import BOX, RACER, STARTS, TICK_S, fly, scenario
+from support.scenes.small_scenes import ball_scene, box_cover
 
 # Verdicts.
 

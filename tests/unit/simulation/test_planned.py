@@ -21,8 +21,8 @@ from alula.stages.simulation.simulate import simulate_world
 from alula.stages.simulation.summary import world_summary
 from alula.stages.world.behind import undisturbed
 from alula.stages.world.world import World
-from support.small_scenes import ball_scene, box_cover
-from support.world_runs import IDEAL_POINT, flown
+from support.flights.world_runs import IDEAL_POINT, flown
+from support.scenes.small_scenes import ball_scene, box_cover
 
 # Two rooms of 4 m x 4 m x 2 m, in voxels of 0.1 m, with a wall between them whose door is at its side.
 SHELL = [

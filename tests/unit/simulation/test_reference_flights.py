@@ -10,10 +10,10 @@ from alula.stages.filtering import registry
 from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS
 from alula.stages.filtering.protocol import FilterResult, FilterStatus, FilterWorld
 from alula.stages.planning.rest_to_rest import rest_to_rest
-from support.fabricate import make_scene
-from support.foreign_filters import Broken, Holding, Limiting, Passing, Wrapped
-from support.quadrotor_model import derivative, rk4
-from support.reference_flights import BODY, GAINS, along, vehicle_of
+from support.flights.foreign_filters import Broken, Holding, Limiting, Passing, Wrapped
+from support.flights.reference_flights import BODY, GAINS, along, vehicle_of
+from support.models.quadrotor_model import derivative, rk4
+from support.scenes.fabricate import make_scene
 
 FIELD = make_scene(60, low=(0, 0, 0), high=(6, 4, 3))
 NATIVE = list(ELLIPSOID_FILTERS)

@@ -12,11 +12,11 @@ from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.simulation.pairs import sample_pairs
 from alula.stages.vehicles.bodies import tracking_gains
 from alula.stages.world.vehicle import catch_up_m_s
-from support.clearances import clearance_to_scene
-from support.fabricate import make_scene
-from support.foreign_filters import Passing
-from support.reference_flights import along, vehicle_of
-from support.world_runs import flown
+from support.flights.foreign_filters import Passing
+from support.flights.reference_flights import along, vehicle_of
+from support.flights.world_runs import flown
+from support.models.clearances import clearance_to_scene
+from support.scenes.fabricate import make_scene
 
 FIELD = make_scene(12, low=(0, 0, 0), high=(6, 4, 3))
 BOX = (0.0, 0.0, 0.0, 6.0, 4.0, 3.0)

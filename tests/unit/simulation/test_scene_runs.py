@@ -11,11 +11,11 @@ from alula.schemas.scenarios.check import FILTER_COMMANDS
 from alula.schemas.scenarios.vehicle import BodyTable, LimitsTable, Vehicle
 from alula.stages.filtering import registry
 from alula.stages.filtering.ellipsoid_filters import ELLIPSOID_FILTERS, parameters_of
-from support.clearances import clearance_to_scene
-from support.fabricate import make_scene
-from support.foreign_filters import Broken, Limiting, provide
-from support.small_scenes import ball_scene, box_cover, rest_plan
-from support.world_runs import flown
+from support.flights.foreign_filters import Broken, Limiting, provide
+from support.flights.world_runs import flown
+from support.models.clearances import clearance_to_scene
+from support.scenes.fabricate import make_scene
+from support.scenes.small_scenes import ball_scene, box_cover, rest_plan
 
 FIELD = make_scene(60, low=(0, 0, 0), high=(6, 4, 3))
 NATIVE = list(ELLIPSOID_FILTERS)

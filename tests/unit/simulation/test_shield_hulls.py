@@ -26,10 +26,10 @@ from alula.stages.compression.verify import verify
 from alula.stages.compression.voxelize import voxelize
 from alula.stages.reconstruction.demo_scene import demo_scene, world_from_scene
 from alula.stages.reconstruction.import_splat import import_splat
-from support.clearances import clearance_to_hulls, clearance_to_scene
-from support.small_scenes import ball_scene, box_cover
-from support.world_runs import flown, made_from
-from support.wrench_flight import RADIUS, VEHICLE, Flight, admissible_start, attitude_controlled
+from support.flights.world_runs import flown, made_from
+from support.models.clearances import clearance_to_hulls, clearance_to_scene
+from support.models.wrench_flight import RADIUS, VEHICLE, Flight, admissible_start, attitude_controlled
+from support.scenes.small_scenes import ball_scene, box_cover
 
 BALL = ball_scene([[2.0, 0, 1]], 0.3)
 BOX = box_cover([((16, -4, 6), (24, 4, 14))])  # the ball and 0.1 m around it

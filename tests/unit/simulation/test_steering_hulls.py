@@ -10,9 +10,9 @@ from alula.schemas.errors import UsageError
 from alula.schemas.log.run import read_run
 from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.compression.hulls import Hulls
-from support import world_runs
-from support.clearances import clearance_to_hulls
-from support.small_scenes import ball_scene, box_cover
+from support.flights import world_runs
+from support.models.clearances import clearance_to_hulls
+from support.scenes.small_scenes import ball_scene, box_cover
 
 RADIUS = FASTBRIDGE.body.radius_m
 PILLARS = box_cover(

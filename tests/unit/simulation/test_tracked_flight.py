@@ -7,8 +7,8 @@ from alula._core import Plant, PlantOptions, ReferenceCurve, SensorOptions, trac
 from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.planning.rest_to_rest import rest_to_rest
 from alula.stages.vehicles.bodies import quadrotor, tracking_gains
+from support.models.quadrotor_model import body_to_inertial
 from support.paths import VEHICLES
-from support.quadrotor_model import body_to_inertial
 
 EXAMPLES = VEHICLES
 GOAL, YAW = np.array([10.0, 3.0, 2.0]), 0.5

@@ -15,9 +15,9 @@ from alula.stages.simulation.judge import hits_static, worst_clearance
 from alula.stages.simulation.prepare import prepare
 from alula.stages.simulation.simulate import simulate_world
 from alula.stages.simulation.summary import world_guarantee, world_summary, world_timing
-from support.covers import with_manifest
-from support.foreign_filters import Broken, Holding, Limiting, Passing, provide
-from support.small_scenes import ball_scene, box_cover, line_plan, with_vias
+from support.flights.foreign_filters import Broken, Holding, Limiting, Passing, provide
+from support.scenes.covers import with_manifest
+from support.scenes.small_scenes import ball_scene, box_cover, line_plan, with_vias
 
 WALL = ((15, -20, 0), (18, 20, 30))  # in voxels of 0.1 m
 COVER = box_cover([WALL])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from support.imm_model import Reference, SafeReference
-from support.tracked import SIGMA, scan, tracker
+from support.flights.tracked import SIGMA, scan, tracker
+from support.models.imm_model import Reference, SafeReference
 
 DT = 0.05
 WIDE = {"gate": 1e12}  # everything is taken

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from alula._core import RadarOptions, obstacle_paths, own_states, radar_scans
-from support.moving_worlds import HARDWARE, MOCAP, SCENARIO_1, closing, obstacle, vehicle_path
+from support.flights.moving_worlds import HARDWARE, MOCAP, SCENARIO_1, closing, obstacle, vehicle_path
 
 HALF_AZIMUTH, HALF_ELEVATION = np.radians(40), np.radians(10)
 

@@ -22,7 +22,7 @@ from stonesoup.types.state import GaussianState
 from stonesoup.types.track import Track
 from stonesoup.updater.kalman import KalmanUpdater
 
-from support.tracked import SIGMA, scan, tracker
+from support.flights.tracked import SIGMA, scan, tracker
 
 START = datetime.datetime(2000, 1, 1)
 DT = 0.05

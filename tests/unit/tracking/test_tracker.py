@@ -8,7 +8,7 @@ from scipy.optimize import linear_sum_assignment
 
 from alula import _core
 from support.effort import examples
-from support.tracked import scan, tracker
+from support.flights.tracked import scan, tracker
 
 DT = 0.05
 

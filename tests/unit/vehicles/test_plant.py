@@ -6,7 +6,7 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from alula._core import DoubleIntegrator, Plant, PlantOptions, SensorOptions
-from support.quadrotor_model import (
+from support.models.quadrotor_model import (
     GRAVITY,
     MASS,
     body_to_inertial,

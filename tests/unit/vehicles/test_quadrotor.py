@@ -15,7 +15,7 @@ from alula._core import (
     turned,
 )
 from support.effort import examples
-from support.quadrotor_model import (
+from support.models.quadrotor_model import (
     GRAVITY,
     INERTIA,
     MASS,

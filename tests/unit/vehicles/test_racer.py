@@ -9,7 +9,7 @@ from alula.schemas.errors import UsageError
 from alula.schemas.scenarios.vehicle import FASTBRIDGE, read_vehicle
 from alula.stages.vehicles.fence import fence
 from alula.stages.vehicles.racer import geofence, racer_model, racer_options
-from support import racer_model as model
+from support.models import racer_model as model
 from support.paths import VEHICLES
 
 RACER7 = VEHICLES / "racer7.toml"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from alula._core import ReferenceCurve, TrackingGains, body_rates, realise, track, track_point
-from support.quadrotor_model import (
+from support.models.quadrotor_model import (
     GRAVITY,
     INERTIA,
     MASS,

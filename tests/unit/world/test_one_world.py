@@ -10,8 +10,8 @@ from alula.schemas.scenarios.scenario import decoded
 from alula.schemas.scenarios.vehicle import FASTBRIDGE
 from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.world.world import make_world
-from support import flights
-from support.small_scenes import ball_scene, box_cover, line_plan
+from support.flights import flights
+from support.scenes.small_scenes import ball_scene, box_cover, line_plan
 
 MARGIN_M = 0.1
 COVER, SCENE = box_cover(flights.PILLAR), ball_scene([(2.0, 2.2, 1.0), (2.0, -1.0, 1.0)], 0.3)

@@ -17,11 +17,11 @@ from alula.schemas.errors import ArtifactError
 from alula.stages.compression.onboard.image import decode_map
 from alula.stages.compression.onboard.layout import encode_map, index_bytes
 from alula.stages.filtering.protocol import FilterStatus
-from support.covers import cover_of, furniture, voxels_of
 from support.effort import examples
-from support.fabricate import box, exact_hull, make_cover
-from support.maps import decode, half_spaces, is_at_least, sealed
 from support.paths import ROOT
+from support.scenes.covers import cover_of, furniture, voxels_of
+from support.scenes.fabricate import box, exact_hull, make_cover
+from support.scenes.maps import decode, half_spaces, is_at_least, sealed
 
 COVER = cover_of(voxels_of(furniture(3, 30)), hulls=40)
 IMAGE = encode_map(COVER, indexed=True)

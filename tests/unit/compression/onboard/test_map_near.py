@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from alula import _core
 from alula.stages.compression.onboard.layout import encode_map
-from support.covers import cover_of, furniture, voxels_of
 from support.effort import examples
-from support.fabricate import box, exact_hull, make_cover
 from support.paths import ROOT
+from support.scenes.covers import cover_of, furniture, voxels_of
+from support.scenes.fabricate import box, exact_hull, make_cover
 
 
 def blobs(rng, count, spread, extent=12):

@@ -12,10 +12,10 @@ from alula import _core
 from alula.schemas.errors import ArtifactError
 from alula.stages.compression.onboard.image import decode_map
 from alula.stages.compression.onboard.layout import encode_map
-from support.covers import cover_of, furniture, voxels_of
 from support.effort import examples, some
-from support.fabricate import box, exact_hull, make_cover
-from support.maps import decode, is_at_least, psi, sealed
+from support.scenes.covers import cover_of, furniture, voxels_of
+from support.scenes.fabricate import box, exact_hull, make_cover
+from support.scenes.maps import decode, is_at_least, psi, sealed
 
 COVER = cover_of(voxels_of(furniture(2, 12)), hulls=6)
 IMAGES = {"planes": encode_map(COVER), "k-DOP": encode_map(COVER, largest_normal=1)}

@@ -9,10 +9,10 @@ from alula import _core
 from alula.schemas.errors import ArtifactError, InfeasibleError, InputError
 from alula.stages.compression.onboard.image import decode_map
 from alula.stages.compression.onboard.layout import encode_map, map_facts
-from support.covers import cover_of, furniture, holds_voxel, rows, voxels_of
 from support.effort import examples
-from support.fabricate import box, exact_hull, make_cover
-from support.maps import decode, half_spaces, holds
+from support.scenes.covers import cover_of, furniture, holds_voxel, rows, voxels_of
+from support.scenes.fabricate import box, exact_hull, make_cover
+from support.scenes.maps import decode, half_spaces, holds
 
 VOXELS = voxels_of(furniture(1, 18))
 COVER = cover_of(VOXELS, hulls=20)

@@ -35,11 +35,11 @@ from alula.stages.filtering.polytope_cbf import polytope_cbf
 from alula.stages.filtering.protocol import FilterWorld
 from alula.stages.simulation.pairs import Pairs
 from alula.stages.simulation.prepare import prepare
-from support.covers import cover_of, furniture, voxels_of
 from support.effort import examples
-from support.fabricate import exact_hull, make_cover
-from support.tiled import KEY, cut, folder_of, native, posts, set_key, with_image
-from support.wrench_flight import VEHICLE
+from support.models.wrench_flight import VEHICLE
+from support.scenes.covers import cover_of, furniture, voxels_of
+from support.scenes.fabricate import exact_hull, make_cover
+from support.scenes.tiled import KEY, cut, folder_of, native, posts, set_key, with_image
 
 NOBODY = Provenance.now("alula/tiles", "1.0", {}, None, [])
 OPTIONS = {"extent_m": 30.0, "radius_m": 0.15, "beta": 2.0, "kappa": 100.0, "dt_s": 0.02, "v_max": 1.5}

@@ -12,9 +12,9 @@ from alula.schemas.errors import UsageError
 from alula.stages.compression.onboard.image import decode_map
 from alula.stages.compression.onboard.layout import encode_map
 from alula.stages.compression.onboard.verify import verify_map
-from support.covers import SIZE_M, cover_of, furniture, holds_voxel, voxels_of
-from support.fabricate import box, make_cover, make_scene
-from support.maps import decode, half_spaces, sealed
+from support.scenes.covers import SIZE_M, cover_of, furniture, holds_voxel, voxels_of
+from support.scenes.fabricate import box, make_cover, make_scene
+from support.scenes.maps import decode, half_spaces, sealed
 
 VOXELS = voxels_of(furniture(4, 16))
 COVER = cover_of(VOXELS, hulls=15)

@@ -13,9 +13,9 @@ from alula.stages.flight.links.protocol import Order
 from alula.stages.sim_vehicle.ardupilot.copter import ArduCopter
 from alula.stages.sim_vehicle.common.faults import Fault
 from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint, VelocitySetpoint
-from support.autopilot_client import EXACT, QUICK
-from support.mocap_samples import sample
-from support.served_autopilot import FRAME, G, Served, flight, stream, take_off
+from support.vehicles.autopilot_client import EXACT, QUICK
+from support.vehicles.mocap_samples import sample
+from support.vehicles.served_autopilot import FRAME, G, Served, flight, stream, take_off
 
 KEY = bytes(range(32))
 CHANGED = ("GUID_OPTIONS", "ATC_ANGLE_BOOST", "GUID_TIMEOUT", "FS_GCS_ENABLE")

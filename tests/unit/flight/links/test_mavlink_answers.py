@@ -6,7 +6,7 @@ import pytest
 
 from alula.stages.flight.links.mavlink.orders import Addressee
 from alula.stages.flight.links.protocol import Order
-from support.mavlink_peer import Peer, m, vehicle
+from support.vehicles.mavlink_peer import Peer, m, vehicle
 
 OURS, OTHER, NOBODY = (255, 191), (255, 190), (0, 0)
 TAKE_OFF = m.MAV_CMD_NAV_TAKEOFF

@@ -21,7 +21,7 @@ from alula.stages.flight.links.options import LinkOptions
 from alula.stages.flight.links.protocol import Order
 from alula.stages.vehicles.frames import LocalFrame
 from support.effort import examples
-from support.mavlink_peer import Peer, Time, m, said, vehicle
+from support.vehicles.mavlink_peer import Peer, Time, m, said, vehicle
 
 
 def test_random_bytes_raise_nothing_and_change_nothing():

@@ -20,8 +20,8 @@ from alula.stages.flight.links.mavlink.wire import Wire
 from alula.stages.flight.links.open_link import open_link
 from alula.stages.flight.links.options import LinkOptions
 from alula.stages.flight.links.protocol import Order
-from support.mavlink_peer import ARDUPILOT, Peer, Time, m, said, vehicle
-from support.sim_vehicle_process import free_port
+from support.vehicles.mavlink_peer import ARDUPILOT, Peer, Time, m, said, vehicle
+from support.vehicles.sim_vehicle_process import free_port
 
 KEY = bytes(range(32))
 

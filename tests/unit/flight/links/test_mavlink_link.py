@@ -14,7 +14,7 @@ from alula.schemas.errors import LinkError
 from alula.stages.flight.links.options import Limits
 from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint, VelocitySetpoint
 from support.effort import examples
-from support.mavlink_peer import FRAME, Peer, m, vehicle
+from support.vehicles.mavlink_peer import FRAME, Peer, m, vehicle
 
 FINITE = st.floats(-20, 20)
 

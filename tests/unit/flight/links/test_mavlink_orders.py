@@ -10,7 +10,7 @@ from alula.stages.flight.links.open_link import open_link
 from alula.stages.flight.links.options import LinkOptions
 from alula.stages.flight.links.protocol import Order
 from alula.stages.vehicles.setpoints import RatesSetpoint, VelocitySetpoint
-from support.mavlink_peer import ARDUPILOT, FRAME, PX4, Peer, m, vehicle
+from support.vehicles.mavlink_peer import ARDUPILOT, FRAME, PX4, Peer, m, vehicle
 
 
 def test_px4_has_its_own_parameters_bit_by_bit_and_its_own_modes():

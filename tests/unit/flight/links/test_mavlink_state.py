@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from alula.stages.flight.links.vehicle_clock import VehicleClock
 from support.effort import examples
-from support.mavlink_peer import m, said, vehicle
+from support.vehicles.mavlink_peer import m, said, vehicle
 
 
 def test_late_twice_and_old_packets_are_no_new_state():

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from alula.schemas.errors import LinkError, UsageError
 from alula.stages.flight.links.mocap import Mocap
 from alula.stages.vehicles.frames import LocalFrame
-from support.mavlink_peer import FRAME, Peer, m, vehicle
-from support.mocap_samples import sample
+from support.vehicles.mavlink_peer import FRAME, Peer, m, vehicle
+from support.vehicles.mocap_samples import sample
 
 
 @pytest.fixture

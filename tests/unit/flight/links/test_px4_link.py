@@ -10,9 +10,9 @@ from alula.stages.flight.links.protocol import Order
 from alula.stages.sim_vehicle.px4.modes import Px4Mode
 from alula.stages.sim_vehicle.px4.vehicle import Px4Copter
 from alula.stages.vehicles.setpoints import AccelerationSetpoint, RatesSetpoint, VelocitySetpoint
-from support.autopilot_client import QUICK
-from support.mocap_samples import sample
-from support.served_autopilot import FRAME, G, Served, flight, stream, take_off
+from support.vehicles.autopilot_client import QUICK
+from support.vehicles.mocap_samples import sample
+from support.vehicles.served_autopilot import FRAME, G, Served, flight, stream, take_off
 
 FAST = {"MPC_TKO_SPEED": 5.0, "MPC_TKO_RAMP_T": 0.25, "MPC_LAND_SPEED": 2.0}
 CHANGED = {"COM_OF_LOSS_T": 0.3, "COM_OBL_RC_ACT": 4, "COM_RCL_EXCEPT": 4, "COM_RC_OVERRIDE": 3}

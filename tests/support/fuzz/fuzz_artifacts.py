@@ -3,7 +3,7 @@
 Each mutant runs in a fork of its own with bounded memory and processor time. A command may succeed or refuse
 it with one line; it may not end with 1, by a signal, with a warning, or beyond the bounds.
 
-    python -P tests/support/fuzz_artifacts.py --most 20000 --keep build/fuzz-artifacts
+    python -P tests/support/fuzz/fuzz_artifacts.py --most 20000 --keep build/fuzz-artifacts
 """
 
 from __future__ import annotations
@@ -705,8 +705,8 @@ def main() -> int:
     parser.add_argument("--keep", type=Path, default=Path("fuzz-failures"))
     chosen = parser.parse_args()
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-    from support.pipeline import write_pipeline
+    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+    from support.scenes.pipeline import write_pipeline
 
     with tempfile.TemporaryDirectory(prefix="alula-seeds-") as made:
         seeds = chosen.seeds or Path(made)

@@ -10,10 +10,10 @@ from alula.stages.flight.links.options import LinkOptions
 from alula.stages.flight.loop.supervisor import State
 from alula.stages.sim_vehicle.px4.vehicle import Px4Copter
 from alula.stages.vehicles.frames import LocalFrame
-from support.fake_vehicle import Kept
-from support.flights import START, loop_of
-from support.mavlink_peer import Time
-from support.served_autopilot import FAST, Served
+from support.flights.flights import START, loop_of
+from support.vehicles.fake_vehicle import Kept
+from support.vehicles.mavlink_peer import Time
+from support.vehicles.served_autopilot import FAST, Served
 
 # The vehicle boots at the origin of its local frame: that is below the plan's start.
 FRAME = LocalFrame(origin_enu_m=(-START[0], -START[1], 0.0))

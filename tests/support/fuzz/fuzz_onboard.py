@@ -1,4 +1,4 @@
-"""libFuzzer on the onboard code: `python tests/support/fuzz_onboard.py --seconds 600`, shared by the targets.
+"""libFuzzer on the onboard code, its time shared by the targets: `fuzz_onboard.py --seconds 600`.
 
 native/onboard/fuzz has the targets, with address and undefined-behaviour sanitizers: images of maps,
 tiles, and ticks of polytope-cbf, the chord filter, dr-acbf and the geofence. Seeds are maps of covers that
@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-HERE = Path(__file__).resolve().parent
+HERE = Path(__file__).resolve().parents[1]
 SOURCES = HERE.parents[1] / "native/onboard/fuzz"
 TARGETS = ("map", "tiles", "polytope", "chord", "dr_acbf", "geofence", "links", "stack")
 EMPTY = "int LLVMFuzzerTestOneInput(const unsigned char *d, unsigned long n) { return !d && n; }"
@@ -41,7 +41,7 @@ def images() -> list[bytes]:
     """Onboard maps of all kinds, small ones."""
     sys.path.append(str(HERE.parent))
     from alula.stages.compression.onboard.layout import encode_map
-    from support.covers import cover_of, furniture, voxels_of
+    from support.scenes.covers import cover_of, furniture, voxels_of
 
     covers = [
         cover_of(voxels_of(furniture(seed, 12)), hulls=count) for seed, count in enumerate((1, 3, 9, 24))
@@ -58,7 +58,7 @@ def images() -> list[bytes]:
 
 def tiles() -> list[tuple[bytes, bytes]]:
     """Indexes of maps in tiles, each with one of the images."""
-    from support.tiled import cut, posts, sealed_binary
+    from support.scenes.tiled import cut, posts, sealed_binary
 
     made = [cut(posts(size, size), tile_m=tile_m, reach_m=0.4) for size, tile_m in ((9, 0.6), (18, 1.2))]
     return [(sealed_binary(one), max(one.images)) for one in made]

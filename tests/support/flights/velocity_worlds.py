@@ -8,8 +8,8 @@ import numpy as np
 from alula.stages.flight.links.protocol import VehicleState
 from alula.stages.flight.mission import make_commander
 from alula.stages.vehicles.setpoints import VelocitySetpoint
-from support.flights import behind, mission, safety_of
-from support.small_scenes import box_cover, line_plan
+from support.flights.flights import behind, mission, safety_of
+from support.scenes.small_scenes import box_cover, line_plan
 
 LEVEL, ZERO = np.array([1.0, 0, 0, 0]), np.zeros(3)
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from support import quadrotor_model as body
-from support.quadrotor_model import E3, GRAVITY, INERTIA, MASS
+from support.models import quadrotor_model as body
+from support.models.quadrotor_model import E3, GRAVITY, INERTIA, MASS
 
 ALLOCATION = np.array(body.PARAMETERS["G"])
 INVERSE = np.linalg.inv(ALLOCATION)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from support.responses import Wired
+from support.vehicles.responses import Wired
 
 DEFAULTS = Path("Tools/autotest/default_params/copter.parm")
 _PORT, _STEP = 5760, 10  # TCP ports of an instance n: 5760 + 10 n and some above

@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 
-from support.crazyflie_host import crazyflie
+from support.vehicles.crazyflie_host import crazyflie
 
 CLIMB_M_S, NEAR_M = 0.4, 0.1
 STILL_S, STILL_M = 4.0, 0.02  # it has stopped

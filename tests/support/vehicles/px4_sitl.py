@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from alula.stages.sim_vehicle.common.packets import mavlink
-from support.sim_vehicle_process import free_port
+from support.vehicles.sim_vehicle_process import free_port
 
 # Positions by motion capture instead of satellites, which its simulation lets wander by a metre.
 MOCAP = {"EKF2_EV_CTRL": 15, "EKF2_GPS_CTRL": 0, "EKF2_HGT_REF": 3, "EKF2_EV_DELAY": 20}

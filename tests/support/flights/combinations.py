@@ -16,7 +16,7 @@ from alula.schemas.scenarios.defaults import vehicle_of
 from alula.schemas.scenarios.scenario import decoded
 from alula.stages.simulation.judge import hits_static
 from alula.stages.simulation.prepare import prepare
-from support.small_scenes import ball_scene, box_cover, line_plan
+from support.scenes.small_scenes import ball_scene, box_cover, line_plan
 
 TIME_S = 0.3  # of a flight
 START, GOAL = (0.6, 0.6, 1.0), (3.4, 2.4, 1.2)

@@ -10,7 +10,10 @@ from alula.cli.main import run
 from alula.schemas.artifacts.artifact import write_artifact
 from alula.schemas.artifacts.manifest import PlanPass
 from alula.stages.flight.recorder.log import FlightRecorder
-from support.fabricate import (
+from support.flights.flight_logs import head_of, record_of
+from support.flights.flights import fly, mission
+from support.paths import VEHICLES
+from support.scenes.fabricate import (
     box,
     make_cover,
     make_plan,
@@ -20,9 +23,6 @@ from support.fabricate import (
     make_voxels,
     write_run,
 )
-from support.flight_logs import head_of, record_of
-from support.flights import fly, mission
-from support.paths import VEHICLES
 
 RED = (200, 30, 30)
 FENCED = f"""

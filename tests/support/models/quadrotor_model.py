@@ -5,11 +5,12 @@ so derivatives follow from a complex step: f(x + i h)'s imaginary part over h, e
 """
 
 import json
-from pathlib import Path
 
 import numpy as np
 
-VECTORS = json.loads((Path(__file__).parent / "vectors_fastbridge.json").read_text())
+from support.paths import SUPPORT
+
+VECTORS = json.loads((SUPPORT / "vectors_fastbridge.json").read_text())
 PARAMETERS = VECTORS["params"]
 MASS, GRAVITY = PARAMETERS["m"], PARAMETERS["g"]
 INERTIA = np.array(PARAMETERS["J"])

@@ -3,7 +3,7 @@
 import numpy as np
 
 from alula import _core
-from support import quadrotor_model as body
+from support.models import quadrotor_model as body
 
 OK, FILTERED, RECOVERING, REFUSED, BACKUP = 0, 1, 3, 4, 5
 RADIUS = 0.15

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from alula.cli.main import run
-from support.command_lines import DOCS
+from support.files.command_lines import DOCS
 from support.paths import EXAMPLES, VEHICLES
-from support.pipeline import COLUMNS
+from support.scenes.pipeline import COLUMNS
 
 ROOM_GAUSSIANS = 40000
 SIZE = "0.05"  # of voxels [m]

@@ -15,8 +15,8 @@ from alula.stages.flight.links.protocol import Order
 from alula.stages.sim_vehicle.ardupilot.copter import ArduCopter
 from alula.stages.sim_vehicle.simulator import SimulatedVehicle
 from alula.stages.vehicles.frames import LocalFrame
-from support.autopilot_client import EXACT
-from support.mavlink_peer import Time
+from support.vehicles.autopilot_client import EXACT
+from support.vehicles.mavlink_peer import Time
 
 FRAME = LocalFrame(yaw_rad=0.6, origin_enu_m=(2.0, 1.0, 0.0))
 

@@ -24,12 +24,12 @@ from alula.stages.sim_vehicle.common.faults import Fault
 from alula.stages.sim_vehicle.common.packets import mavlink
 from alula.stages.sim_vehicle.common.quaternions import from_euler, to_mrp
 from alula.stages.vehicles.frames import LocalFrame
-from support.autopilot_client import EXACT
-from support.fake_vehicle import Kept
-from support.flights import loop_of
-from support.mavlink_peer import Time
-from support.served_autopilot import Served
-from support.watchdogs import WatchdogHere
+from support.flights.flights import loop_of
+from support.vehicles.autopilot_client import EXACT
+from support.vehicles.fake_vehicle import Kept
+from support.vehicles.mavlink_peer import Time
+from support.vehicles.served_autopilot import Served
+from support.vehicles.watchdogs import WatchdogHere
 
 STALE_S = 0.15
 _SETPOINTS = {"SET_ATTITUDE_TARGET", "SET_POSITION_TARGET_LOCAL_NED"}

@@ -1,4 +1,4 @@
-"""Mutated splat files against every reader: `python tests/support/fuzz_splats.py --seconds 600`.
+"""Mutated splat files against every reader: `python tests/support/fuzz/fuzz_splats.py --seconds 600`.
 
 A reader must give Gaussians or one of alula's own errors: no other exception, no crash, no hang, no
 allocation that the file does not justify, and no scene with a value that is not finite. Seeds are small
@@ -172,7 +172,7 @@ def _checked(scene: Artifact) -> str:
 
 def seeds() -> dict[str, Case]:
     """Valid inputs by name."""
-    from support.splat_files import small_splats
+    from support.files.splat_files import small_splats
 
     found = {name: Case(files, main, form) for name, (files, main, form) in small_splats().items()}
     root = os.environ.get("ALULA_DATA")
@@ -284,7 +284,7 @@ def main() -> int:
     chosen.keep.mkdir(parents=True, exist_ok=True)
     faulthandler.enable()
     warnings.simplefilter("error")
-    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
     counts = Counter()
     fuzz(0.0, 0, chosen.keep)  # the imports
     limit_memory()

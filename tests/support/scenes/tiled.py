@@ -27,7 +27,7 @@ from alula.schemas.artifacts.tiles import (
     sign,
 )
 from alula.stages.compression.onboard.tiles import cut_tiles, sealed
-from support.fabricate import exact_hull, make_cover
+from support.scenes.fabricate import exact_hull, make_cover
 
 KEY = bytes(range(32))
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from alula.schemas.log.flights import Flight
 from alula.stages.reporting.material import Run
-from support.fabricate import make_record
+from support.scenes.fabricate import make_record
 
 
 def flight(start=0.0, n=51, **fields):

@@ -6,8 +6,8 @@ import numpy as np
 from alula.schemas.scenarios.scenario import decoded
 from alula.schemas.scenarios.vehicle import read_vehicle
 from alula.stages.simulation.simulate import simulate_world
+from support.flights.world_runs import set_value
 from support.paths import VEHICLES
-from support.world_runs import set_value
 
 RACER = read_vehicle(VEHICLES / "racer7.toml")
 TICK_S = float(np.float32(0.0025))  # as the native filter has it

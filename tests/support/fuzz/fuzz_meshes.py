@@ -14,9 +14,9 @@ import sys
 import warnings
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from support.fuzz_splats import Case, fuzz, limit_memory
+from support.fuzz.fuzz_splats import Case, fuzz, limit_memory
 
 COUNTED = "were read; please report"  # a reader and the count of the bytes disagree
 MOST = 20_000  # voxels
@@ -26,7 +26,7 @@ SIZES = (0.05, 0.25, 2.0)
 
 def seeds() -> dict[str, Case]:
     """Valid files by name, and octrees of both kinds."""
-    from support.mesh_files import WRITERS
+    from support.files.mesh_files import WRITERS
 
     found = {}
     for kind, write in WRITERS.items():

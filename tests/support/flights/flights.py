@@ -22,8 +22,8 @@ from alula.stages.flight.mission import (
     wanted_setpoints,
 )
 from alula.stages.world.filters import flown_filter, plain
-from support.fake_vehicle import FakeClock, FakeVehicle, Kept
-from support.small_scenes import ball_scene, box_cover, line_plan
+from support.scenes.small_scenes import ball_scene, box_cover, line_plan
+from support.vehicles.fake_vehicle import FakeClock, FakeVehicle, Kept
 
 PILLAR = [((18, 0, 0), (22, 15, 20))]  # x 1.8 to 2.2, y 0 to 1.5
 START, GOAL = (0.3, 2.0, 1.0), (3.7, 2.0, 1.0)

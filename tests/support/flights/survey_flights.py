@@ -21,10 +21,10 @@ from alula.stages.sim_vehicle.common.quaternions import cos_tilt
 from alula.stages.sim_vehicle.px4.vehicle import Px4Copter
 from alula.stages.vehicles.frames import LocalFrame
 from alula.stages.vehicles.own_limits import PARAMETERS
-from support.autopilot_client import EXACT
-from support.fake_vehicle import Kept
-from support.mavlink_peer import Time
-from support.served_autopilot import Served
+from support.vehicles.autopilot_client import EXACT
+from support.vehicles.fake_vehicle import Kept
+from support.vehicles.mavlink_peer import Time
+from support.vehicles.served_autopilot import Served
 
 BOX = (-8.0, -8.0, 0.0, 8.0, 8.0, 16.0)
 SLOW_LANDING = {"LAND_SPEED": 120.0, "WPNAV_SPEED_DN": 150.0, "FS_THR_ENABLE": 3.0, "FS_DR_ENABLE": 1.0}

@@ -12,10 +12,10 @@ import time
 from contextlib import contextmanager, suppress
 
 from alula.stages.sim_vehicle.common.packets import mavlink
-from support.arducopter import arducopter, second_port
-from support.fly_process import fly
-from support.sim_vehicle_process import free_port, until
-from support.small_scenes import box_cover, line_plan
+from support.scenes.small_scenes import box_cover, line_plan
+from support.vehicles.arducopter import arducopter, second_port
+from support.vehicles.fly_process import fly
+from support.vehicles.sim_vehicle_process import free_port, until
 
 START, GOAL = (0.0, 0.0, 1.5), (14.0, 0.0, 1.5)
 WALLS = box_cover([((0, 60, 0), (140, 64, 30)), ((0, -64, 0), (140, -60, 30))])  # at y = 6 m and -6 m

@@ -8,7 +8,7 @@ from alula.schemas.artifacts.artifact import make_artifact
 from alula.schemas.artifacts.kinds import COVER, PLAN, SCENE
 from alula.schemas.artifacts.manifest import Guarantee, InputRef, PlanPass
 from alula.stages.planning.rest_to_rest import rest_to_rest
-from support.covers import with_manifest
+from support.scenes.covers import with_manifest
 
 G = 0.1  # voxel size [m]
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from support.sim_vehicle_process import free_port, until
+from support.vehicles.sim_vehicle_process import free_port, until
 
 
 def program():

@@ -1,6 +1,6 @@
 """Pictures of pages of every kind for the documentation.
 
-    python -P tests/support/page_pictures.py examples/room/out docs/pictures
+    python -P tests/support/files/page_pictures.py examples/room/out docs/pictures
 
 The first folder is what `make demo` and `make -C examples/room course` leave, the second gets the pictures.
 """
@@ -13,7 +13,7 @@ import tempfile
 from contextlib import contextmanager
 from pathlib import Path
 
-sys.path.append(str(Path(__file__).resolve().parents[1]))
+sys.path.append(str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
 from PIL import Image
@@ -23,10 +23,10 @@ from alula.schemas.log.foxglove import Vector3
 from alula.stages.flight.recorder.live_view import ViewHead, open_view
 from alula.stages.flight.recorder.samples import PlanSample, encoded
 from alula.stages.runlog.maps import map_message
-from support.browser import SOFTWARE, chromium_program
-from support.flight_logs import sample
-from support.flights import mission
-from support.viewed_pages import write_page, write_simulated
+from support.files.browser import SOFTWARE, chromium_program
+from support.files.viewed_pages import write_page, write_simulated
+from support.flights.flight_logs import sample
+from support.flights.flights import mission
 
 SIZE, WIDE = {"width": 800, "height": 500}, {"width": 1100, "height": 600}
 PHONE = {"width": 390, "height": 700}

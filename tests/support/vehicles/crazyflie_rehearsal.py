@@ -8,7 +8,7 @@ import pytest
 
 from alula.stages.sim_vehicle.crazyflie.supervisor import Stage
 from alula.stages.sim_vehicle.crazyflie.vehicle import CrazyflieOptions, SimulatedCrazyflie
-from support.crazyflie_peer import crazyflie_vehicle
+from support.vehicles.crazyflie_peer import crazyflie_vehicle
 
 SAFE = 0x0C
 

@@ -5,7 +5,7 @@ import signal
 
 import pytest
 
-from support.mavlink_peer import Time
+from support.vehicles.mavlink_peer import Time
 
 
 class QuickClock(Time):
