@@ -218,6 +218,13 @@ def _write_members(file: IO[bytes] | _Pieces, artifact: Artifact) -> None:
     write_members(file, artifact.manifest, arrays, lambda name: [arrays[name]])
 
 
+class _Archive(zipfile.ZipFile):
+    """An archive that only `with` completes: not its end, when an interruption has closed the file."""
+
+    def __del__(self) -> None:
+        pass
+
+
 def write_members(
     file: IO[bytes] | _Pieces, manifest: Manifest, like: Arrays, rows: Callable[[str], Iterable[NDArray[Any]]]
 ) -> None:
@@ -229,7 +236,7 @@ def write_members(
         like: arrays of the types and shapes by name, whose values are not read.
         rows: function that returns the rows of an array, piece by piece.
     """
-    with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
+    with _Archive(file, "w", zipfile.ZIP_STORED) as archive:
         text = encode_manifest(manifest)
         _write_member(archive, file, "manifest.json", len(text), [text])
         for name in sorted(like):

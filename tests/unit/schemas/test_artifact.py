@@ -3,7 +3,9 @@
 import json
 import os
 import subprocess
+import sys
 import zipfile
+from contextlib import suppress
 
 import msgspec
 import numpy as np
@@ -354,3 +356,16 @@ def test_the_commit_of_a_checkout_is_read_without_a_lock_of_it(tmp_path, monkeyp
     assert index.read_bytes() == before
     file.write_text("22")
     assert manifest.producer.__wrapped__().commit == f"{commit}-dirty"
+
+
+def test_an_archive_that_is_interrupted_is_not_completed_later(tmp_path, monkeypatch):
+    def interrupt(archive):
+        raise KeyboardInterrupt
+
+    said = []
+    monkeypatch.setattr(sys, "unraisablehook", said.append)
+    monkeypatch.setattr(zipfile.ZipFile, "__enter__", interrupt)
+    with suppress(KeyboardInterrupt):
+        write_artifact(tmp_path / "a.voxels.npz", voxels())
+    assert not said
+    assert not list(tmp_path.iterdir())
