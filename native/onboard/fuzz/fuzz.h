@@ -62,6 +62,18 @@ static inline void take_floats(bytes* in, float scale, float* to, int count) {
   for (int i = 0; i < count; ++i) to[i] = take_float(in, scale);
 }
 
+/* A track of any kind, with this identity or, seldom, that of another. */
+static inline void take_track(bytes* in, uint32_t id, alula_track* track) {
+  track->id = take(in, 1) < 8U ? take(in, 1) : id;
+  take_floats(in, 10.0F, track->position, 3);
+  take_floats(in, 5.0F, track->velocity, 3);
+  for (int i = 0; i < 21; ++i) track->covariance[i] = 0.0F;
+  for (int i = 0, k = 0; i < 6; k += ++i + 1) track->covariance[k] = take_between(in, 0.0F, 0.5F);
+  if (take(in, 1) < 64U) take_floats(in, 0.1F, track->covariance, 21);
+  track->radius_m = take_between(in, 0.0F, 1.0F);
+  take_floats(in, 3.0F, track->acceleration, 3);
+}
+
 static inline int same_bits(const void* a, const void* b, size_t size) { return memcmp(a, b, size) == 0; }
 
 static inline int all_finite(const float* x, int count) {

@@ -20,17 +20,6 @@ static alula_dr_acbf_config take_config(bytes* in) {
   return config;
 }
 
-static void take_track(bytes* in, uint32_t id, alula_track* track) {
-  track->id = take(in, 1) < 8U ? take(in, 1) : id;
-  take_floats(in, 10.0F, track->position, 3);
-  take_floats(in, 5.0F, track->velocity, 3);
-  for (int i = 0; i < 21; ++i) track->covariance[i] = 0.0F;
-  for (int i = 0, k = 0; i < 6; k += ++i + 1) track->covariance[k] = take_between(in, 0.0F, 0.5F);
-  if (take(in, 1) < 64U) take_floats(in, 0.1F, track->covariance, 21);
-  track->radius_m = take_between(in, 0.0F, 1.0F);
-  take_floats(in, 3.0F, track->acceleration, 3);
-}
-
 static void take_wall(bytes* in, alula_wall* wall) {
   take_floats(in, 1.0F, wall->normal, 3);
   const float length = sqrtf(wall->normal[0] * wall->normal[0] + wall->normal[1] * wall->normal[1] +

@@ -6,16 +6,6 @@
 
 static alula_stack stack, copy;
 
-static void take_track(bytes* in, uint32_t id, alula_track* track) {
-  track->id = take(in, 1) < 8U ? take(in, 1) : id;
-  take_floats(in, 10.0F, track->position, 3);
-  take_floats(in, 5.0F, track->velocity, 3);
-  for (int i = 0; i < 21; ++i) track->covariance[i] = 0.0F;
-  for (int i = 0, k = 0; i < 6; k += ++i + 1) track->covariance[k] = take_between(in, 0.0F, 0.5F);
-  track->radius_m = take_between(in, 0.0F, 1.0F);
-  take_floats(in, 3.0F, track->acceleration, 3);
-}
-
 /* The margin of the state that follows when u is flown for dt. */
 static float margin_after(const alula_stack_config* config, const alula_stack_input* in, const float u[3]) {
   const double dt = config->polytope_cbf.dt_s, lag = config->lag_s, share = exp(-dt / lag);
