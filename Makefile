@@ -70,8 +70,7 @@ setup: ## make the environment in .venv/
 .venv/.dependencies: .ci/requirements.lock .ci/peers.lock | .venv/.demo
 	.ci/system-packages --libraries
 	@echo "installing all extras and what the tests need: 2 GB"
-	@$(LOCKED) -r .ci/requirements.lock
-	@$(LOCKED) --no-deps -r .ci/peers.lock
+	@.ci/install .ci/requirements.lock .ci/peers.lock
 	@touch $@
 
 .venv/.installed: pyproject.toml $(NATIVE) native/python/alula/__init__.py | .venv/.native

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import (
@@ -15,6 +16,9 @@ from concurrent.futures import (
 )
 from contextlib import contextmanager
 from dataclasses import dataclass
+from multiprocessing.context import SpawnContext, SpawnProcess
+from multiprocessing.process import BaseProcess
+from types import ModuleType
 from typing import Any, Protocol, TypeVar
 
 from alula.schemas.artifacts.manifest import producer
@@ -136,6 +140,25 @@ def check_scheduler(address: str, *, allow_remote: bool) -> None:
         raise UsageError(f"--scheduler: {host} is not this machine; pass --allow-remote to allow it")
 
 
+class _Process(SpawnProcess):
+    """Process that does not run the caller's script, which may do its work without a guard."""
+
+    @staticmethod
+    def _Popen(process_obj: BaseProcess) -> Any:
+        script = sys.modules["__main__"]
+        sys.modules["__main__"] = ModuleType("__main__")
+        try:
+            return SpawnProcess._Popen(process_obj)
+        finally:
+            sys.modules["__main__"] = script
+
+
+class _Spawning(SpawnContext):
+    """Spawned, not forked: a forked process with threads may hang."""
+
+    Process = _Process
+
+
 class _Pool:
     def __init__(self, make: Callable[[], Executor], jobs: int) -> None:
         self._make, self._jobs = make, jobs
@@ -161,16 +184,13 @@ class _Pool:
 
 @contextmanager
 def _local(jobs: int, processes: bool) -> Iterator[_Workers]:
-    import multiprocessing
     import os
 
     jobs = jobs or os.cpu_count() or 1
-    # Spawned, not forked: a forked process with threads may hang.
-    context = multiprocessing.get_context("spawn")
 
     def make() -> Executor:
         if processes:
-            return ProcessPoolExecutor(jobs, mp_context=context, initializer=_end_with_parent)
+            return ProcessPoolExecutor(jobs, mp_context=_Spawning(), initializer=_end_with_parent)
         return ThreadPoolExecutor(jobs)
 
     pool = _Pool(make, jobs)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import logging
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -21,10 +22,14 @@ from alula.schemas.errors import ArtifactError, InputError, UsageError
 from alula.schemas.log.run import record_path
 from alula.schemas.parameters.configs.report import ReportConfig
 from alula.schemas.progress import Progress
+from alula.stages.beside import in_process
 
 if TYPE_CHECKING:
     from alula.schemas.parameters.keywords import ReportFields
+    from alula.stages.reporting.figures import Figure
     from alula.stages.reporting.material import Material
+
+_LARGE_BYTES = 4_000_000  # of all inputs: below it the start of a process takes longer than it saves
 
 
 @keywords(ReportConfig)
@@ -72,8 +77,9 @@ def report(
             logs, inputs = paths(folder)
             refs = [input_ref(role, path) for role, path in inputs.items()]
             made = Provenance.now(REPORT_SCHEMA, REPORT_VERSION, config.parameters(output), None, refs)
-            material = _read_material(config.title, logs, inputs, made)
-            files, _ = _contents_of(material, config, "html", output, made, progress)
+            with _figures_beside(config.title, logs, inputs, made, "html") as figures:
+                material = _read_material(config.title, logs, inputs, made)
+                files, _ = _contents_of(material, config, "html", output, made, progress, figures)
         return files[output].decode()
 
     def write(common: Common) -> None:
@@ -105,8 +111,11 @@ def _write_report(
         common = dataclasses.replace(common, force=True)  # a table of trials has no room for provenance
 
     def build(provenance: Provenance, progress: Progress) -> tuple[dict[Path, bytes], dict[str, Any]]:
-        material = _read_material(config.title, runs, inputs, provenance)
-        files, summary = _contents_of(material, config, form, common.output, provenance, progress)
+        with _figures_beside(config.title, runs, inputs, provenance, form) as figures:
+            material = _read_material(config.title, runs, inputs, provenance)
+            files, summary = _contents_of(
+                material, config, form, common.output, provenance, progress, figures
+            )
         for path in files:
             if path != common.output and path not in beside:  # figures, which are known only now
                 _check_ours(path, inputs, common)
@@ -126,6 +135,31 @@ def _write_report(
         _write_all({path: files[path] for path in beside if not path.exists()})
 
 
+@contextmanager
+def _figures_beside(
+    title: str, runs: Sequence[Path], inputs: dict[str, Path], provenance: Provenance, form: str
+) -> Iterator[Callable[[Material], list[Figure]]]:
+    """What draws the figures: for pages of large files another process, which begins at once."""
+    from alula.schemas.files import size_of
+
+    if form != "html" or sum(map(size_of, inputs.values())) < _LARGE_BYTES:
+        from alula.stages.show.still import draw
+
+        yield draw
+        return
+    with in_process(_figures_of_files, title, runs, inputs, provenance) as drawn:
+        yield lambda _: drawn()
+
+
+def _figures_of_files(
+    title: str, runs: Sequence[Path], inputs: dict[str, Path], provenance: Provenance
+) -> list[Figure]:
+    from alula.stages.show.still import draw
+
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # see `report`
+    return draw(_read_material(title, runs, inputs, provenance))
+
+
 def _contents_of(
     material: Material,
     config: ReportConfig,
@@ -133,15 +167,13 @@ def _contents_of(
     output: Path,
     provenance: Provenance,
     progress: Progress,
+    figures: Callable[[Material], list[Figure]],
 ) -> tuple[dict[Path, bytes], dict[str, Any]]:
     """Contents of the files of a report, the output first, and the facts to print."""
-    from concurrent.futures import ThreadPoolExecutor
-
     from alula.schemas.artifacts.provenance import in_ascii
     from alula.stages.reporting.content import content_of, to_json, to_report_markdown
     from alula.stages.reporting.page import comment, report_page
     from alula.stages.reporting.tables import to_csv
-    from alula.stages.show.still import draw
 
     everything = {"listed": None} if form == "json" else {}
     content = content_of(material, config.table, **everything)
@@ -156,11 +188,9 @@ def _contents_of(
     if form == "html":
         from alula.stages.show.viewing.report import view
 
-        with ThreadPoolExecutor(1) as beside:
-            figures = beside.submit(draw, material)
-            shown = view(material)
-            progress(2, 3)
-            page = report_page(material, content, figures.result(), shown, line)
+        shown = view(material)
+        progress(2, 3)
+        page = report_page(material, content, figures(material), shown, line)
         files = {
             output: page.encode(),
             output.with_suffix(".csv"): to_csv(material).encode(),
@@ -171,7 +201,7 @@ def _contents_of(
     elif form == "csv":
         files = {output: to_csv(material).encode()}
     elif form == "json":
-        files = {output: to_json(content, draw(material), provenance).encode()}
+        files = {output: to_json(content, figures(material), provenance).encode()}
     else:
         files = _on_paper(material, content, form, output, plain)
     progress(3, 3)

@@ -55,8 +55,8 @@ def xyz(vector: NDArray[Any]) -> Point3:
     Args:
         vector: shape (3,).
     """
-    x, y, z = (number(value) for value in vector)
-    return Point3(x, y, z)
+    x, y, z = vector.tolist()
+    return Point3(number(x), number(y), number(z))
 
 
 def quaternion(wxyz: NDArray[Any]) -> Quaternion:

@@ -103,6 +103,7 @@ def sample_pairs(
     clearance: Callable[[FloatArray], FloatArray],
     is_clear: Callable[[FloatArray, FloatArray], NDArray[np.bool_]],
     is_wanted: Callable[[FloatArray, FloatArray], NDArray[np.bool_]] | None = None,
+    is_inside: Callable[[FloatArray], NDArray[np.bool_]] | None = None,
 ) -> Pairs:
     """Draw pairs uniformly in a box, both points clear and far enough apart.
 
@@ -117,6 +118,8 @@ def sample_pairs(
         is_clear: which of the points, given with their psi, may be a start or a goal; shape (M,).
         is_wanted: which of the pairs, starts and goals of shape (P, 3), may be flown; shape (P,). All by
             default.
+        is_inside: which of the points, shape (P, 3), may be a start or a goal besides; it is asked for as few
+            points as decide, because it takes long. All by default.
 
     Raises:
         InfeasibleError: no pair was found for a trial among 16384 points.
@@ -129,7 +132,13 @@ def sample_pairs(
         for _ in range(_BLOCKS):
             points = lower + generator.random((_BLOCK, 3)) * (upper - lower)
             psi = clearance(points)
-            found = _pairs(points, is_clear(points, psi), min_distance_m, 1 if is_wanted is None else _BLOCK)
+            clear = is_clear(points, psi)
+            if is_wanted is None:
+                found = _first_pair(points, clear, min_distance_m, is_inside)
+            else:
+                if is_inside is not None and clear.any():
+                    clear[clear] = is_inside(points[clear])
+                found = _pairs(points, clear, min_distance_m, _BLOCK)
             wanted = np.ones(len(found), np.bool_)
             if is_wanted is not None and len(found):
                 wanted = is_wanted(points[found[:, 0]], points[found[:, 1]])
@@ -149,6 +158,21 @@ def sample_pairs(
                 "mission.beyond_map_m, or lower mission.separation, mission.margin_m or vehicle.radius_m"
             )
     return Pairs(start, goal, sampled, inside, candidates)
+
+
+def _first_pair(
+    points: FloatArray,
+    clear: NDArray[np.bool_],
+    min_distance_m: float,
+    is_inside: Callable[[FloatArray], NDArray[np.bool_]] | None,
+) -> NDArray[np.int64]:
+    """Indices of the first pair of points that are clear and inside, shape (1, 2); (0, 2) without one."""
+    left = clear.copy()
+    while len(found := _pairs(points, left, min_distance_m, 1)):
+        if is_inside is None or (inside := is_inside(points[found[0]])).all():
+            break
+        left[found[0, ~inside]] = False
+    return found
 
 
 def _pairs(

@@ -316,20 +316,15 @@ def _pairs(
             inside = inside_of(world.map, *room, keep + mission.margin_m, world.floor_m)
             diagonal = min(diagonal, _WIDE * inside.diagonal_m)
 
-        def may_be_end(points: FloatArray, apart: FloatArray) -> NDArray[np.bool_]:
-            clear = is_clear(points, apart, mission.margin_m)
-            if inside is not None and clear.any():
-                clear[clear] = inside.holds(points[clear])
-            return clear
-
         found = sample_pairs(
             count,
             scenario.rules.seed,
             (lower, upper),
             mission.separation * diagonal,
             apart_of,
-            may_be_end,
+            lambda points, apart: is_clear(points, apart, mission.margin_m),
             is_blocked if mission.which == "blocked" else None,
+            None if inside is None else inside.holds,
         )
     counts = {"blocked_pairs": int(is_blocked(found.start, found.goal).sum())}
     if given is None:

@@ -1,5 +1,6 @@
 """Distributed chunks: the same results in the same order on all workers, and clear messages on failure."""
 
+import subprocess
 import sys
 import time
 
@@ -47,6 +48,16 @@ def test_results_come_in_order_and_chunks_are_taken_one_by_one():
 
 def test_processes_give_the_same():
     assert list(distribute(abs, range(-5, 5), jobs=2, processes=True)) == [abs(i) for i in range(-5, 5)]
+
+
+def test_a_script_without_a_guard_is_not_run_by_each_process(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from alula.stages.distribute import distribute\nprint('once')\n"
+        "print(list(distribute(abs, [-1, -2], jobs=1, processes=True)))\n"
+    )
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("once\n[1, 2]\n", "")
 
 
 def test_another_process_repeats_the_chunk_of_a_killed_one(tmp_path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -13,8 +15,9 @@ _GOLDEN = (1 + 5**0.5) / 2
 _SIDES = 16  # of a rotor's disc
 
 
+@cache
 def ball_mesh() -> tuple[FloatArray, IntArray]:
-    """An icosahedron divided once, with corners on the unit sphere: shapes (42, 3) and (80, 3)."""
+    """An icosahedron divided once, with corners on the unit sphere: shapes (42, 3) and (80, 3), read-only."""
     from scipy.spatial import ConvexHull
 
     first = np.array(
@@ -27,7 +30,9 @@ def ball_mesh() -> tuple[FloatArray, IntArray]:
     middle = twelve[pairs].sum(axis=1)
     middle /= np.linalg.norm(middle, axis=1, keepdims=True)
     corners = np.concatenate([twelve, middle])
-    return corners, _outward(corners, ConvexHull(corners).simplices.astype(np.int64))
+    triangles = _outward(corners, ConvexHull(corners).simplices.astype(np.int64))
+    corners.flags.writeable = triangles.flags.writeable = False
+    return corners, triangles
 
 
 def _outward(corners: FloatArray, triangles: IntArray) -> IntArray:

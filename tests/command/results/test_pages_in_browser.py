@@ -8,7 +8,7 @@ import pytest
 from support.files.browser import drawn, near, opened
 from support.files.viewed_pages import RED, write_files, write_page, write_simulated
 
-pytestmark = pytest.mark.process
+pytestmark = [pytest.mark.process, pytest.mark.slow]
 
 HULL, BLUE, GREEN, GATE, YELLOW, TOUCH = (
     *((140, 153, 173), (86, 180, 233), (46, 158, 91), (230, 159, 0), (250, 200, 40)),
@@ -36,7 +36,6 @@ REPORTS = {
     "cover": ["--cover", "c.cover.npz"],
     "plan": ["--plan", "p.plan.npz"],
 }
-SLOW = {name: pytest.param(name, marks=pytest.mark.slow) for name in (*VIEWS, *REPORTS)}
 PHONE = {"width": 390, "height": 700}
 
 
@@ -108,8 +107,7 @@ def check_timeline(shown, frame):
     )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["run", *(SLOW[n] for n in VIEWS if n != "run")])
+@pytest.mark.parametrize("name", VIEWS)
 def test_a_view_shows_its_scene_and_its_flight(name, folder, browser):
     words, colors = VIEWS[name]
     page = write_page(folder, "view", name, *words)
@@ -134,7 +132,7 @@ def test_a_view_shows_its_scene_and_its_flight(name, folder, browser):
     assert np.percentile(dark, 10) < 60
 
 
-@pytest.mark.parametrize("name", ["run", *(SLOW[n] for n in REPORTS if n != "run")])
+@pytest.mark.parametrize("name", REPORTS)
 def test_a_report_and_the_view_in_it(name, folder, browser):
     page = write_page(folder, "report", name, *REPORTS[name])
     with opened(browser, page.as_uri(), **PHONE, dark=True) as shown:
@@ -152,7 +150,6 @@ def test_a_report_and_the_view_in_it(name, folder, browser):
             check_curves(shown, frame)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("window", [{"width": 1280, "height": 800}, PHONE], ids=["wide", "phone"])
 def test_a_report_neither_scrolls_nor_takes_the_focus_by_itself(window, files, browser):
     page = write_page(files, "report", "run", *REPORTS["run"])

@@ -172,8 +172,8 @@ def test_gsply_reads_the_same(tmp_path, version, degree):
 @pytest.mark.parametrize(
     ("name", "count", "lower", "upper"),
     [
-        ("fourth-st-spz/fourth_st", 131_199, [-0.1248, -0.1563, -0.0793], [0.1245, 0.1382, 0.0791]),
         ("cc0-corpus/leica-sofort-top8192", 8_192, [-0.2480, -0.2493, -0.2417], [0.2417, 0.0884, 0.1460]),
+        ("fourth-st-spz/fourth_st", 131_199, [-0.1248, -0.1563, -0.0793], [0.1245, 0.1382, 0.0791]),
         ("tiny-conformance/gsplat-rs-minimal_v4_degree0", 8, [0, -0.875, 1], [1.75, 0, 1.4375]),
         ("tiny-conformance/adobe-SanitySplats", 10, [0, 0, 0], [1.6001, 1.6001, 1.6001]),
     ],
