@@ -75,6 +75,9 @@ Spin = Literal[-1, 1]
 _ATTITUDE_PER_S2 = (500.0, 500.0, 110.0)
 _RATE_PER_S = (36.0, 36.0, 11.0)
 _LOOP_SHARE = 1.5  # the damping of rates times the time constant of the loop that follows them, at most
+_SWINGING_SHARE = (
+    2.0  # above it a file's own gains are told of: real ArduPilot flies at 1.54, real PX4 sank at 3.6
+)
 
 
 class BodyTable(SparseTable, frozen=True, kw_only=True):
@@ -390,6 +393,13 @@ class Vehicle(SparseTable, frozen=True, kw_only=True):
             attitude.append(turn * slower**2 * j)
             rate.append(damping * slower * j)
         return self.tracking.attitude_n_m or attitude, self.tracking.rate_n_m_s or rate
+
+    def axes_beyond_rate_loop(self) -> str:
+        """The body axes whose gain of rates in the file is faster than the rate loop follows, as "xy"."""
+        if self.body.inertia_kg_m2 is None or self.tracking.rate_n_m_s is None:
+            return ""
+        loops = zip("xyz", self.tracking.rate_n_m_s, self.body.inertia_kg_m2, self.rates.axes_s, strict=True)
+        return "".join(axis for axis, gain, j, lag_s in loops if gain / j * lag_s > _SWINGING_SHARE)
 
 
 # The vehicle of the FastBridge paper; `examples/vehicles/fastbridge.toml` has the source of each number.

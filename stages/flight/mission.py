@@ -213,6 +213,17 @@ def _beyond_identified(config: FlyConfig, vehicle: Vehicle) -> list[str]:
     ]
 
 
+def _swinging(vehicle: Vehicle) -> list[str]:
+    """A note if the vehicle file turns attitudes faster than the rate loop follows."""
+    axes = vehicle.axes_beyond_rate_loop()
+    if not axes:
+        return []
+    return [
+        f"tracking.rate_n_m_s of {vehicle.name} is faster than its rate loop follows about "
+        f"{', '.join(axes)}: attitudes may swing; without this key, and without tracking.attitude_n_m, slower gains are chosen"
+    ]
+
+
 def make_mission(
     config: FlyConfig,
     plan: Artifact,
@@ -320,6 +331,8 @@ def make_mission(
     )
     if not is_splat and not has_lag:
         notes += _beyond_identified(config, vehicle)
+    if RatesSetpoint in _setpoints(built, is_splat=is_splat)[:1]:
+        notes += _swinging(vehicle)
     keep_out = KeepOut.of(cover, jobs=jobs) if config.fence_map and cover is not None else None
     return PlannedFlight(
         config=config,
@@ -417,11 +430,15 @@ def flown_filters(mission: PlannedFlight) -> list[_core.SafetyFilter]:
 
 def wanted_setpoints(mission: PlannedFlight) -> tuple[type[Setpoint], ...]:
     """Kinds of set-points that can carry the filter's output, the best first."""
-    if not mission.is_splat:
+    return _setpoints(mission.world, is_splat=mission.is_splat)
+
+
+def _setpoints(world: World, *, is_splat: bool) -> tuple[type[Setpoint], ...]:
+    if not is_splat:
         return (VelocitySetpoint,)
-    if not mission.world.filters:
+    if not world.filters:
         return (RatesSetpoint, AccelerationSetpoint)
-    takes_acceleration = mission.world.filters[-1].kind == "acceleration"
+    takes_acceleration = world.filters[-1].kind == "acceleration"
     return (AccelerationSetpoint, RatesSetpoint) if takes_acceleration else (RatesSetpoint,)
 
 

@@ -2,6 +2,7 @@
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -63,6 +64,20 @@ def test_thrust_and_filter_are_those_of_simulate(name):
             thrust = decision.setpoint.thrust_m_s2 * body.mass
             assert thrust == pytest.approx(log["command"][i, 3], rel=1e-9)
     assert changed > 20
+
+
+def test_gains_faster_than_the_rate_loop_are_noted_of_flights_by_rates():
+    lazy = msgspec.structs.replace(FASTBRIDGE.rates, axis_time_constant_s=(0.1, 0.1, 0.5))
+    vehicle = msgspec.structs.replace(FASTBRIDGE, rates=lazy)
+    swings = "tracking.rate_n_m_s of fastbridge is faster than its rate loop follows about x, y, z: "
+    assert any(swings in note for note in mission("shield", scene=BALL, vehicle=vehicle).notes)
+    others = (
+        mission("shield", scene=BALL),
+        mission("cone-di", scene=BALL, vehicle=vehicle),
+        mission(vehicle=vehicle),
+    )
+    for made in others:
+        assert not any("rate loop" in note for note in made.notes)
 
 
 def test_velocities_are_those_of_simulate():

@@ -121,6 +121,13 @@ def test_attitude_gains_left_open_are_slower_than_the_rate_loop():
     )
 
 
+def test_axes_that_a_file_turns_faster_than_its_rate_loop_are_named(tmp_path):
+    assert {read_vehicle(path).axes_beyond_rate_loop() for path in VEHICLES.glob("*.toml")} == {""}
+    text = (VEHICLES / "px4-sih.toml").read_text()  # roll follows within 0.1 s, yaw within 0.47 s
+    swinging = replaced("[tracking]", "[tracking]\nrate_n_m_s = [0.9, 0.4, 0.2]", text)
+    assert read(tmp_path, swinging).axes_beyond_rate_loop() == "xz"
+
+
 def replaced(old, new, text=WHOLE):
     assert old in text
     return text.replace(old, new)
