@@ -219,8 +219,8 @@ def _swinging(vehicle: Vehicle) -> list[str]:
     if not axes:
         return []
     return [
-        f"tracking.rate_n_m_s of {vehicle.name} is faster than its rate loop follows about "
-        f"{', '.join(axes)}: attitudes may swing; without this key, and without tracking.attitude_n_m, slower gains are chosen"
+        f"tracking.rate_n_m_s is faster than the rate loop of {vehicle.name} about {', '.join(axes)}: "
+        "attitudes may swing; leave it and tracking.attitude_n_m out of the file for gains that fit"
     ]
 
 

@@ -69,7 +69,7 @@ def test_thrust_and_filter_are_those_of_simulate(name):
 def test_gains_faster_than_the_rate_loop_are_noted_of_flights_by_rates():
     lazy = msgspec.structs.replace(FASTBRIDGE.rates, axis_time_constant_s=(0.1, 0.1, 0.5))
     vehicle = msgspec.structs.replace(FASTBRIDGE, rates=lazy)
-    swings = "tracking.rate_n_m_s of fastbridge is faster than its rate loop follows about x, y, z: "
+    swings = "tracking.rate_n_m_s is faster than the rate loop of fastbridge about x, y, z: "
     assert any(swings in note for note in mission("shield", scene=BALL, vehicle=vehicle).notes)
     others = (
         mission("shield", scene=BALL),
