@@ -293,7 +293,7 @@ def main() -> int:
     shown = table({cell.key: found[cell.key] for cell in cells if cell.key in found})
     if options.markdown is not None:
         page = options.markdown.read_text()
-        options.markdown.write_text(with_section(page, f"{SECTION}{_PREFACE}{shown}"))
+        options.markdown.write_text(with_section(page, f"{SECTION}{_PREFACE}{shown}", keeps_notes=True))
     print(shown, end="")
     return int(any(row.get("scene_clearance_m", 1.0) <= 0 for row in found.values()))
 

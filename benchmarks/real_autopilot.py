@@ -148,14 +148,17 @@ def timed(heard: list[tuple[float, str]]) -> list[tuple[float, str]]:
     return [(offset + printed[line] if line in printed else at, line) for at, line in heard]
 
 
-def with_section(page: str, section: str) -> str:
+def with_section(page: str, section: str, keeps_notes: bool = False) -> str:
     """Page in which a section replaces the one of the same heading, or follows the last one.
 
     Args:
         page: Markdown.
         section: begins with its line "## heading".
+        keeps_notes: keep what the page has below the last row of the old section's tables.
     """
     heading = section.partition("\n")[0] + "\n"
     before, found, rest = page.partition(heading)
-    after = rest.partition("\n## ")[2] if found else ""
+    old, _, after = rest.partition("\n## ") if found else ("", "", "")
+    if keeps_notes and "\n|" in old:
+        section = section.rstrip("\n") + "\n" + old.rpartition("\n|")[2].partition("\n")[2]
     return before.rstrip("\n") + "\n\n" + section.rstrip("\n") + (f"\n\n## {after}" if after else "\n")

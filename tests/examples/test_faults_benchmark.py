@@ -100,3 +100,14 @@ def test_a_section_of_the_page_is_replaced_and_the_others_stay(faults):
     page = "# page\n\ntext\n\n## A\n\nold\n\n## B\n\nstays\n"
     assert faults.with_section(page, "## A\n\nnew\n") == "# page\n\ntext\n\n## A\n\nnew\n\n## B\n\nstays\n"
     assert faults.with_section(page, "## C\n\nmore\n") == page + "\n## C\n\nmore\n"
+
+
+def test_notes_below_a_replaced_table_stay_if_they_are_to(faults):
+    page = "# page\n\n## A\n\nold\n\n| 1 |\n| 2 |\n\nBy hand.\n\n## B\n\nstays\n"
+    section = "## A\n\nnew\n\n| 3 |\n"
+    kept = faults.with_section(page, section, keeps_notes=True)
+    assert kept == "# page\n\n## A\n\nnew\n\n| 3 |\n\nBy hand.\n\n## B\n\nstays\n"
+    assert faults.with_section(kept, section, keeps_notes=True) == kept
+    assert "By hand" not in faults.with_section(page, section)
+    empty = "# page\n\n## A\n\nold\n"
+    assert faults.with_section(empty, section, keeps_notes=True) == f"# page\n\n{section}"
