@@ -102,7 +102,8 @@ def test_the_firmwares_build_is_given_all_sources_and_flags(tmp_path):
     """oot.mk takes these variables; Kbuild has to name every source."""
     (tmp_path / "tools/make").mkdir(parents=True)
     (tmp_path / "tools/make/oot.mk").write_text(
-        "all:\n\t@echo '$(OOT)|$(OOT_CONFIG)|$(EXTRA_CFLAGS)'\n", encoding="utf-8"
+        "include $(OOT)/src/Kbuild\nall:\n\t@echo '$(OOT)|$(OOT_CONFIG)|$(EXTRA_CFLAGS)|$(ccflags-y)'\n",
+        encoding="utf-8",
     )
     words = ["make", "-s", "-C", str(CRAZYFLIE), f"CRAZYFLIE_BASE={tmp_path}"]
 
@@ -110,9 +111,11 @@ def test_the_firmwares_build_is_given_all_sources_and_flags(tmp_path):
         out = subprocess.run([*words, *more], capture_output=True, text=True, check=True).stdout.strip()
         return out.split("|")
 
-    folder, config, flags = given()
-    _, other, more = given("OBSTACLES=3")
+    folder, config, flags, none = given()
+    _, other, same, more = given("OBSTACLES=3")
     assert "-DALULA_CRAZYFLIE_OBSTACLES=3U" in more.split()
+    assert none == ""
+    assert same == flags
     settings = dict(line.split("=") for line in Path(other).read_text().splitlines())
     assert 4 * int(settings["CONFIG_APP_STACKSIZE"]) == glue.MORE_STACK_BYTES
     assert Path(folder) == CRAZYFLIE
