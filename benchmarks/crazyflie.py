@@ -192,8 +192,10 @@ class Place:
         if code != 0 or has_ended is not None:
             figures |= {"said": [line for _, line in lines][-12:], "host": has_ended}
         if begin is not None:
-            path = rows[(rows[:, 0] >= begin) & (rows[:, 0] <= end), 2:5]
-            figures |= {"flight_s": end - begin} | self.judge(cell, np.ascontiguousarray(path))
+            flown = rows[(rows[:, 0] >= begin) & (rows[:, 0] <= end)]
+            figures |= {"flight_s": end - begin} | self.judge(cell, np.ascontiguousarray(flown[:, 2:5]))
+            lost = flown[:, 0] - flown[:, 1]  # by the program's clock, which does not catch up
+            figures["clock_lost_s"] = float(lost[-1] - lost[0])
         return figures
 
 
