@@ -20,6 +20,8 @@ from support.vehicles.sim_vehicle_process import free_port
 
 # Positions by motion capture instead of satellites, which its simulation lets wander by a metre.
 MOCAP = {"EKF2_EV_CTRL": 15, "EKF2_GPS_CTRL": 0, "EKF2_HGT_REF": 3, "EKF2_EV_DELAY": 20}
+# The most noise that its estimator can be told; in flight its simulation has up to 1.7 m/s^2 and 0.14 rad/s.
+TOLD = {"EKF2_ACC_NOISE": 1.0, "EKF2_GYR_NOISE": 0.1}
 # No sticks; below a ceiling it must not fly home when its battery is critical.
 INDOORS = {"COM_RC_IN_MODE": 4, "COM_LOW_BAT_ACT": 2}
 # UDP ports of instance 0: it has one and sends to the others
