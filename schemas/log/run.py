@@ -135,7 +135,7 @@ class FenceResult(msgspec.Struct, frozen=True, kw_only=True):
     stop_distance_m: float | None
 
 
-class FilterResult(msgspec.Struct, frozen=True, kw_only=True):
+class FilterCounts(msgspec.Struct, frozen=True, kw_only=True):
     """One filter in a flight behind a list of them; counts are steps.
 
     Attributes:
@@ -266,7 +266,7 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
     moving_clearance_m: float | None = None
     stale_steps: int | None = None
     certified_moving_steps: int | None = None
-    filters: list[FilterResult] | None = None
+    filters: list[FilterCounts] | None = None
 
 
 class RunRecord(msgspec.Struct, frozen=True, kw_only=True):

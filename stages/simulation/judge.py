@@ -11,7 +11,7 @@ import numpy as np
 from alula import _core
 from alula.schemas.arrays import FloatArray
 from alula.schemas.artifacts.artifact import Artifact
-from alula.schemas.log.run import FilterResult, Outcome, TrialResult
+from alula.schemas.log.run import FilterCounts, Outcome, TrialResult
 from alula.stages.clearance import is_collision, sphere_clearance
 from alula.stages.filtering.protocol import FilterStatus
 from alula.stages.planning.adherence import PlanJudge, outcome_of_plan
@@ -189,14 +189,14 @@ class WorldJudge:
             return None
         return minimum(sphere_clearance(ends, each, self.world.radius_m, jobs=self.jobs) for each in sets)
 
-    def _filter(self, i: int, name: str, flown: dict[str, Any]) -> FilterResult:
+    def _filter(self, i: int, name: str, flown: dict[str, Any]) -> FilterCounts:
         status, flags, margin = flown["status"][:, i], flown["flags"][:, i], flown["margin"][:, i]
         known = margin[np.isfinite(margin) & (np.abs(margin) < 1e30)]
 
         def steps(which: FilterStatus) -> int:
             return int((status == which).sum())
 
-        return FilterResult(
+        return FilterCounts(
             name=name,
             filtered=steps(FilterStatus.FILTERED) + steps(FilterStatus.SHORTENED),
             backup=steps(FilterStatus.BACKUP),
