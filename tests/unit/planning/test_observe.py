@@ -96,6 +96,19 @@ def test_the_inside_of_a_room_is_seen_and_nothing_beyond_its_walls(room, seen):
     assert marked.isdisjoint(map(tuple, index.tolist()))
 
 
+def test_a_camera_that_is_rolled_sees_to_all_four_corners_of_its_image(room):
+    """Rolled by 45 degrees its image stands on a corner: it reaches as far to the sides as up and down."""
+    level = cameras((0.4, 1.5, 1, 1), half=0.4)
+    roll = np.array([[1, -1, 0], [1, 1, 0], [0, 0, np.sqrt(2)]]) / np.sqrt(2)
+    rolled = Pinholes(dataclasses.replace(level.poses, axes=level.poses.axes @ roll), level.image)
+    centre = (np.asarray(observe(CONFIG, room, rolled)["index"]) + 0.5) * G
+    y, z = (centre[np.abs(centre[:, 0] - 2.05) < 0.01] - (0, 1.5, 1))[:, 1:].T
+    reach = 0.4 * np.sqrt(2) * 1.65  # of the image's corners [m]
+    assert (np.abs(y) + np.abs(z) <= reach).all()
+    for side in (y, -y, z, -z):
+        assert side.max() > reach - 3 * G
+
+
 def test_space_behind_a_screen_is_unknown(room):
     one = cameras((0.4, 1.5, 1, 1))
     alone = observe(CONFIG, room, one)
