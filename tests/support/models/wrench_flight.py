@@ -60,11 +60,12 @@ def empty_scene():
     return Scene([[1e3, 1e3, 1e3]], [[0.1, 0.1, 0.1]], [[1, 0, 0, 0]])
 
 
-def wall_scene():
-    """A wall at x = 3, flat to 2 cm, made of overlapping discs."""
+def wall_scene(axis=0):
+    """A wall at x = 3, or y or z, flat to 2 cm, made of overlapping discs."""
     y, z = np.meshgrid(np.arange(-3, 3.1, 0.5), np.arange(-3, 3.1, 0.5))
     mean = np.stack([np.full(y.size, 3.0), y.ravel(), z.ravel()], axis=1)
-    return Scene(mean, np.tile([0.02, 0.5, 0.5], (y.size, 1)), np.tile([1, 0, 0, 0], (y.size, 1)))
+    scale = np.roll([0.02, 0.5, 0.5], axis)
+    return Scene(np.roll(mean, axis, axis=1), np.tile(scale, (y.size, 1)), np.tile([1, 0, 0, 0], (y.size, 1)))
 
 
 def attitude_controlled(vehicle, x, acceleration):

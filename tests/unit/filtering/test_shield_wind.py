@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from alula import _core
 from support.models import quadrotor_model as model
-from support.models.wrench_flight import RADIUS, VEHICLE, moving, shield_of, wall_scene
+from support.models.wrench_flight import VEHICLE, moving, shield_of, wall_scene
 
 G = VEHICLE.gravity
 INERTIA = np.array(VEHICLE.inertia)
@@ -53,27 +53,34 @@ def flown_to_rest(level_state, disturbance, policy, seconds=3.0):
     return np.array(path)
 
 
-def farthest_start(disturbance, state):
-    """The largest x from which braking before the wall is certified in this wind [m]."""
-    shield, low, high = shield_of(wall_scene()), -1.0, 3.0
-    shield.see(disturbance_m_s2=disturbance)
+def farthest(is_safe):
+    """The largest place before the wall that is safe [m]."""
+    low, high = -1.0, 3.0
     while high - low > 5e-4:
         middle = (low + high) / 2
-        state[0] = middle
-        low, high = (middle, high) if shield.certify(state)["safe"] else (low, middle)
+        low, high = (middle, high) if is_safe(middle) else (low, middle)
     return low
 
 
+@pytest.mark.parametrize("axis", [0, 1])  # upwards other manoeuvres are certified beyond where braking is
 @pytest.mark.parametrize("disturbance", [(2.7, 0.0, 0.0), (1.5, -2.0, 0.4), (-2.7, 0.5, 0.0)], ids=str)
-def test_what_is_certified_is_what_the_body_flies_in_the_wind(disturbance):
-    policy = _core.BackupPolicy(VEHICLE, "brake")
-    x = moving((2.5, 0.3, 0))
+def test_what_is_certified_is_what_the_body_flies_in_the_wind(disturbance, axis):
+    """The wall, the flight and the wind are turned together."""
+    scene, policy = wall_scene(axis), _core.BackupPolicy(VEHICLE, "brake")
+    x, along, wind = moving(np.roll((2.5, 0.3, 0), axis)), np.eye(3)[axis], np.roll(disturbance, axis)
     x[3:6] = 0.05, -0.08, 0.0
-    path = flown_to_rest(x, np.array(disturbance), policy)
-    true = 3.0 - 0.02 - RADIUS - 0.02 - path[:, 0].max()  # the wall's surface, radius, margin
-    assert farthest_start(disturbance, x) == pytest.approx(true, abs=6e-3)
-    if disturbance[0]:
-        assert abs(farthest_start((0.0, 0.0, 0.0), x) - true) > 0.01  # wrong, if the wind is ignored
+    path = flown_to_rest(x, wind, policy)
+    shield = shield_of(scene)
+
+    def certified(start):
+        x[:3] = start * along
+        return shield.certify(x)["safe"]
+
+    true = farthest(lambda start: float(scene.clearance(path + start * along)) > 0.02)
+    without = farthest(certified)
+    shield.see(disturbance_m_s2=tuple(wind))
+    assert farthest(certified) == pytest.approx(true, abs=1e-3)
+    assert abs(without - true) > 0.01  # wrong, if the wind is ignored
 
 
 def test_a_manoeuvre_that_only_the_wind_makes_touch_a_wall_is_not_certified():
