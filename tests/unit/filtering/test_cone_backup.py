@@ -124,7 +124,6 @@ def test_the_nearest_input_agrees_with_another_solver(kind, first_node):
     assert min(seen.values()) > 0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["hover", "brake"])
 def test_the_interpolation_takes_the_largest_share_that_holds(kind):
     found = 0
