@@ -173,7 +173,6 @@ def test_cells_bound_what_a_proof_holds_and_do_not_change_it(scene, voxels, part
     assert by_cells.merkle_root == at_once.merkle_root
 
 
-@pytest.mark.slow
 def test_cells_find_what_a_whole_part_finds(scene, voxels, parts, small_cells):
     """A missing voxel, a hull that is not exact, and a volume that is not the recorded one."""
     lost = parts[1]["member_index"][0]

@@ -190,7 +190,6 @@ def rolled_out(p, v, target, rows, kp=60.0, kd=14.0, steps=30):
     return value, where
 
 
-@pytest.mark.slow
 def test_rp_cbf_is_the_row_of_the_rollouts_gradient():
     import cvxpy as cp
 

@@ -74,7 +74,6 @@ def test_random_pairs_are_in_the_house():
     assert in_house(pairs(GARDEN)).all()
 
 
-@pytest.mark.slow
 def test_free_points_and_pairs_are_above_a_known_floor():
     space = plan_space(CONFIG, OPEN)
     assert space.floor_m == 0.0
