@@ -29,7 +29,7 @@ endif
 # Without its compiled modules every program that tests start, and every worker, compiles them anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test test-all test-realtime setup firmware lint format typecheck typing-view test-native native-address native-thread native-fuzz onboard fuzz attack test-wheel test-core wheel wheels examples papers bench bench-installation bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment bench-fly bench-autopilots bench-faults bench-plan bench-world bench-pages docs man schemas lock clean
+.PHONY: help demo test test-all setup firmware lint format typecheck typing-view test-native native-address native-thread native-fuzz onboard fuzz attack test-wheel test-core wheel wheels examples papers bench bench-installation bench-compression bench-formats bench-filters bench-dracbf bench-onboard bench-betaflight bench-alignment bench-fly bench-autopilots bench-faults bench-plan bench-world bench-pages docs man schemas lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | expand -t 20
@@ -41,8 +41,8 @@ demo: ## install what the main job needs, fly the built-in scene end to end and 
 test: setup ## install what the tests need and run them, all but long and real-time ones: minutes
 	$(BIN)/pytest tests -n auto --dist worksteal -m "not slow and not realtime"
 
-test-all: setup ## run all tests: long ones too, with new random examples, then flights in real time one by one
-	ALULA_TESTS=all $(BIN)/pytest tests -m realtime
+test-all: setup ## run all tests: flights in real time, two at once, then all others, with new random examples
+	ALULA_TESTS=all $(BIN)/pytest tests -n 2 --dist worksteal -m realtime
 	ALULA_TESTS=all $(BIN)/pytest tests -n auto --dist worksteal -m "not realtime"
 
 setup: ## make the environment in .venv/
