@@ -166,7 +166,6 @@ def test_cameras_of_the_source_frame_align_the_trained_scene(demo, align, traine
     assert composed["nerfstudio"]["scale"] == trained[3]
 
 
-@pytest.mark.slow
 def test_a_cloud_of_half_the_room_from_each_kind_of_first_guess(demo, align, tmp_path, capfd):
     world = transform_points(TRUTH, read_artifact(demo / "room.scene.npz")["mean"])
     half = world[world[:, 0] < 4.5]

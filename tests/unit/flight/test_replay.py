@@ -62,7 +62,6 @@ def test_the_native_flight_repeats_a_flight_through_an_autopilot_bit_by_bit(tmp_
     assert found.differing == []
 
 
-@pytest.mark.slow
 def test_ticks_that_were_left_out_holds_and_the_fences_set_points_are_repeated_too(tmp_path):
     log = tmp_path / "f.run.mcap"
     made = mission("cone-backup", scene=BALL, is_clear=True, fence=(-1.0, 1.2, 0.0, 5.0, 2.6, 2.0))
@@ -82,7 +81,6 @@ def test_ticks_that_were_left_out_holds_and_the_fences_set_points_are_repeated_t
     assert replay(log, commander_of(made, accepts)).differing == []
 
 
-@pytest.mark.slow
 def test_another_number_of_one_tick_is_found(tmp_path):
     """The comparison sees the last bit of one measurement."""
     log, made = tmp_path / "f.run.mcap", mission(velocity_lag_s=0.0)
@@ -105,7 +103,6 @@ def test_another_number_of_one_tick_is_found(tmp_path):
     assert len(replay(log, Other()).differing) >= 1
 
 
-@pytest.mark.slow
 def test_a_log_that_lacks_a_tick_is_refused(tmp_path):
     log, made = tmp_path / "f.run.mcap", mission()
     recorder = FlightRecorder(log, head_of(made), echo=False)
