@@ -75,9 +75,7 @@ Spin = Literal[-1, 1]
 _ATTITUDE_PER_S2 = (500.0, 500.0, 110.0)
 _RATE_PER_S = (36.0, 36.0, 11.0)
 _LOOP_SHARE = 1.5  # the damping of rates times the time constant of the loop that follows them, at most
-_SWINGING_SHARE = (
-    2.0  # above it a file's own gains are told of: real ArduPilot flies at 1.54, real PX4 sank at 3.6
-)
+_SWINGING_SHARE = 2.0  # above it `fly` warns of a file's gains: ArduPilot flies at 1.54, PX4 sank at 3.6
 
 
 class BodyTable(SparseTable, frozen=True, kw_only=True):

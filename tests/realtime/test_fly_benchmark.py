@@ -9,7 +9,7 @@ import pytest
 
 from support.paths import ROOT
 
-SMALL = "--quick --gaussians 15000 --speeds 2 --filters cone-backup"
+SMALL = "--quick --gaussians 15000 --speeds 2"
 
 
 @pytest.fixture(scope="module")
@@ -24,11 +24,11 @@ def small_run(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_a_flight_arrives_and_keeps_clear(small_run):
+def test_both_filters_arrive_and_keep_clear(small_run):
     found, _ = small_run
     assert found["reached"] is True
     assert found["min_clearance_m"] > 0
-    assert [flight["filter"] for flight in found["flights"]] == ["cone-backup"]
+    assert [flight["filter"] for flight in found["flights"]] == ["cone-backup", "polytope-cbf"]
     for flight in found["flights"]:
         assert flight["supervisor"][-1] == "disarmed: done"
         assert flight["filtered_ticks"] > 100
@@ -45,4 +45,4 @@ def test_every_figure_is_a_number(small_run):
         assert name in found
     assert found["ticks"] == sum(flight["ticks"] for flight in found["flights"])
     assert "{" not in page
-    assert page.count("\n| ") == 3 + 1  # heads, line, flight, published
+    assert page.count("\n| ") == 4 + 1  # heads, line, flights, published

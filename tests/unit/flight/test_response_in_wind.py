@@ -55,7 +55,7 @@ def test_without_a_change_the_watch_is_quiet_with_room_to_spare(name, speed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("speed", [0.5, 1.0, 2.0])
 @pytest.mark.parametrize("name", FILTERS)
 def test_it_is_quiet_for_many_seeds(name, speed, seed):
